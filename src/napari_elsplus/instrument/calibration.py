@@ -166,6 +166,16 @@ class BundleSection(Section):
     diameter_uncertainty_px: NonNegative | None = None
     alignment_uncertainty_px: NonNegative | None = None
 
+    @property
+    def offset_rows(self) -> float:
+        """Row of the residual centre minus that of the confocal one: the slit offset, independent of the line."""
+        return self.residual_centre[0] - self.confocal_centre[0]
+
+    @property
+    def discs(self) -> list[tuple[Point, float]]:
+        """Centre and diameter in pixels of both views."""
+        return [(centre, self.diameter_px) for centre in (self.confocal_centre, self.residual_centre)]
+
     @model_validator(mode="after")
     def _maps_onto_the_confocal_image(self) -> Self:
         matrix = np.array(self.residual_to_confocal)

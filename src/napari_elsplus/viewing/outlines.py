@@ -101,4 +101,4 @@ def summary(calibration: Calibration) -> str:
 def _outlines(bundle: BundleSection) -> list[NDArray[np.float64]]:
     radius = bundle.diameter_px / 2
     corners = radius * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
-    return [np.add(centre, corners) for centre in (bundle.confocal_centre, bundle.residual_centre)]
+    return [np.add(centre, corners) for centre, _ in bundle.discs]

@@ -169,8 +169,7 @@ def els_waveform(calibration: Calibration, timing: ScanTiming, limits: GalvoLimi
     """
     galvo, bundle = calibration.measured_galvo, calibration.measured_bundle
     rows = exposed_rows(bundle)
-    offset = bundle.residual_centre[0] - bundle.confocal_centre[0]
-    _refuse_without_time(galvo, rows[1] - rows[0], offset, timing, limits)
+    _refuse_without_time(galvo, rows[1] - rows[0], bundle.offset_rows, timing, limits)
     return ramp_waveform(galvo, rows, timing, limits, correction=calibration.scan_correction)
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.calibration.bundle.location import Circle
     from napari_elsplus.processing.images.sectioning import Frames
 
     Image = NDArray[np.float32]
@@ -94,7 +95,7 @@ def column_between_views(frame: Image) -> int:
 def unlit_pixels(
     frame: NDArray[Any],
     background: Image | None = None,
-    discs: Sequence[tuple[tuple[float, float], float]] = (),
+    discs: Sequence[Circle] = (),
     lines: Sequence[tuple[int, int]] = (),
 ) -> NDArray[np.uint8]:
     """Return 1 in the pixels of a frame that no light of the bundle reaches, 0 elsewhere, (rows, cols) uint8.

@@ -179,7 +179,7 @@ def measure_pair(frames: Frames) -> BundlePair:
     confocal, residual = bundles.locate_pair(frame)
     saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
     alignment = align_views(frame, confocal, residual, saturated)
-    light, side = frame - darkness(frame, confocal, residual), ceil(confocal.diameter_px)
+    light, side = frame - darkness(frame, (confocal.circle, residual.circle)), ceil(confocal.diameter_px)
     to_frame = crop_to_frame(confocal.centre, side)
     inside = disc(side, confocal.diameter_px) & within_frame(to_frame, side, frame.shape)
     structure = structure_of_light(resampled(light, to_frame, side), inside)

@@ -201,7 +201,7 @@ def _with_swept_flat_field(calibration: Calibration, pair: BundlePair | None, ga
     flat = swept_flat_field(galvo.light, calibration)
     if flat is None or structure_of_flat_field(flat, calibration) > MAX_STRUCTURE:
         return calibration
-    quality = _quality(calibration, pair, flat, darkness(pair.image, pair.confocal, pair.residual))
+    quality = _quality(calibration, pair, flat, darkness(pair.image, pair.discs))
     return calibration.model_copy(update={"flat": flat, "quality": quality})
 
 
@@ -233,7 +233,7 @@ def _bundle_section(pair: BundlePair) -> BundleSection:
 
 def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
     """Return the calibration with the darkness of the pair's own image as background."""
-    return calibration.model_copy(update={"background": darkness(pair.image, pair.confocal, pair.residual)})
+    return calibration.model_copy(update={"background": darkness(pair.image, pair.discs)})
 
 
 def _quality(

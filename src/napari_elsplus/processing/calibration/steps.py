@@ -96,7 +96,7 @@ def _outdated_by_offset(draft: Draft, offset: SlitOffset) -> Mapping[str, str]:
     bundle = draft.calibration.bundle
     if bundle is None:
         return {}
-    moved = offset.rows - (bundle.residual_centre[0] - bundle.confocal_centre[0])
+    moved = offset.rows - bundle.offset_rows
     if abs(moved) <= MAX_OFFSET_DIFFERENCE_ROWS:
         return {}
     return dict.fromkeys(("pair", "background"), f"the offset has moved by {moved:.1f} rows since")

@@ -62,8 +62,7 @@ class RowPower:
         lit = disc(sectioner.side, 0.95 * sectioner.diameter_px) & sectioner.subtracted
         self._weights = np.where(lit, calibration.flat, 0).astype(np.float32)
         self._expected = np.einsum("ij,ij->i", self._weights, self._weights)
-        bundle = calibration.measured_bundle
-        self._offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
+        self._offset_rows = calibration.measured_bundle.offset_rows
         half = np.sqrt(1 - MIN_CHORD**2) * sectioner.diameter_px / 2
         from_middle = np.arange(sectioner.side) - sectioner.centre[0]
         self._rows = np.maximum(np.abs(from_middle), np.abs(from_middle + self._offset_rows)) < half

@@ -109,9 +109,7 @@ def reference_of_rows(calibration: Calibration, frame_shape: tuple[int, ...], te
         If the calibration was measured on frames of another size.
     """
     require_frame_shape(calibration, frame_shape)
-    bundle = calibration.measured_bundle
-    discs = [(centre, bundle.diameter_px) for centre in (bundle.confocal_centre, bundle.residual_centre)]
-    dark = dark_pixels(frame_shape, discs)
+    dark = dark_pixels(frame_shape, calibration.measured_bundle.discs)
     return RowReference(dark, calibration.background, STRAY_LIGHT_ROWS, test_interval)
 
 

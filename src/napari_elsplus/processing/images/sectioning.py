@@ -344,7 +344,7 @@ def line_offset_px(calibration: Calibration) -> float:
     if calibration.offset is not None:
         return calibration.offset.rows
     bundle = calibration.bundle
-    return 0.0 if bundle is None else bundle.residual_centre[0] - bundle.confocal_centre[0]
+    return 0.0 if bundle is None else bundle.offset_rows
 
 
 def _line_within_bundle(calibration: Calibration, side: int) -> NDArray[np.bool_]:

@@ -10,7 +10,6 @@ import numpy as np
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, alignment_error
 from napari_elsplus.processing.calibration.bundle.gain import darkness
-from napari_elsplus.processing.calibration.bundle.location import Disc
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -85,13 +84,7 @@ def measure_alignment_errors(
     """
     bundle = calibration.measured_bundle
     frame = np.asarray(image, np.float32)
-    if dark is None:
-        discs = (
-            Disc(centre, bundle.diameter_px, 0.0, 0.0, 0.0, 1.0)
-            for centre in (bundle.confocal_centre, bundle.residual_centre)
-        )
-        dark = darkness(frame, *discs)
-    above_dark = calibration.model_copy(update={"background": dark})
+    above_dark = calibration.model_copy(update={"background": darkness(frame, bundle.discs) if dark is None else dark})
     sectioner = Sectioner(above_dark, frame.shape)
     views = sectioner.ls(frame), sectioner.residual(frame)
     inside = disc(sectioner.side, bundle.diameter_px)

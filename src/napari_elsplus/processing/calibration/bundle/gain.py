@@ -13,12 +13,12 @@ from napari_elsplus.processing.calibration.bundle.core_matching import tiles
 from napari_elsplus.processing.images.resampling import resampled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
-    from napari_elsplus.processing.calibration.bundle.location import Disc
+    from napari_elsplus.processing.calibration.bundle.location import Circle, Disc
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
@@ -62,7 +62,7 @@ def measure_gain(
     MeasurementError
         If saturation leaves no pixels, or the gain lies outside of :data:`GAINS`.
     """
-    plane, covariance = _dark_plane(frame, confocal, residual)
+    plane, covariance = _dark_plane(frame, (confocal.circle, residual.circle))
     above_dark = frame - _spread_out(plane, frame)
 
     def both(image: Image) -> list[Image]:
@@ -108,22 +108,22 @@ def ratio_of_light(
     return ratio, float(np.sqrt(np.square(misses).sum() * filled / max(filled - 1, 1))) / total
 
 
-def darkness(frame: NDArray[np.float32], confocal: Disc, residual: Disc) -> NDArray[np.float32]:
+def darkness(frame: NDArray[np.float32], discs: Sequence[Circle]) -> NDArray[np.float32]:
     """Estimate the level of stray light and black from rings around both discs, outside of the bundle.
 
     Parameters
     ----------
     frame : numpy.ndarray
         (rows, cols) float32.
-    confocal, residual : Disc
-        The bundle images in it.
+    discs : sequence of tuple
+        Centre (row, col) and diameter in pixels of both bundle images in it.
 
     Returns
     -------
     numpy.ndarray
         (rows, cols) float32: a plane fitted to the rings of 1.08 to 1.25 radii, robust against light in them.
     """
-    return _spread_out(_dark_plane(frame, confocal, residual)[0], frame)
+    return _spread_out(_dark_plane(frame, discs)[0], frame)
 
 
 def _spread_out(plane: Floats, frame: Image) -> Image:
@@ -131,12 +131,12 @@ def _spread_out(plane: Floats, frame: Image) -> Image:
     return np.asarray(plane[0] + plane[1] * rows + plane[2] * cols, np.float32)
 
 
-def _dark_plane(frame: Image, confocal: Disc, residual: Disc) -> tuple[Floats, Floats]:
+def _dark_plane(frame: Image, discs: Sequence[Circle]) -> tuple[Floats, Floats]:
     """Fit level and slopes per row and column of the darkness; return them and their covariance."""
     rows, cols = np.ogrid[: frame.shape[0] : RING_STEP_PX, : frame.shape[1] : RING_STEP_PX]
     squared = [
-        np.square((rows - d.centre[0]) / (d.diameter_px / 2)) + np.square((cols - d.centre[1]) / (d.diameter_px / 2))
-        for d in (confocal, residual)
+        np.square((rows - row) / (diameter_px / 2)) + np.square((cols - col) / (diameter_px / 2))
+        for (row, col), diameter_px in discs
     ]
     nearest = np.minimum(*squared)
     y, x = RING_STEP_PX * np.array(np.nonzero((nearest > 1.08**2) & (nearest < 1.25**2)))

@@ -189,8 +189,7 @@ class LightCollector:
 
 def _has_moved(light: SweptLight, bundle: BundleSection) -> bool:
     """Return True if the residual view is not where it was in the sweep."""
-    offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
-    return abs(light.offset_rows - offset_rows) > MAX_OFFSET_CHANGE_ROWS
+    return abs(light.offset_rows - bundle.offset_rows) > MAX_OFFSET_CHANGE_ROWS
 
 
 def swept_flat_field(light: SweptLight, calibration: Calibration) -> Image | None:

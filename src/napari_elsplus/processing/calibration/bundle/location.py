@@ -21,6 +21,7 @@ from napari_elsplus.processing.calibration.bundle.rim import circle_through, fit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Circle = tuple[tuple[float, float], float]
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
 
@@ -64,6 +65,11 @@ class Disc:
     diameter_uncertainty_px: float
     threshold: float
     edge_seen: float
+
+    @property
+    def circle(self) -> Circle:
+        """Centre and diameter in pixels."""
+        return self.centre, self.diameter_px
 
 
 def locate_bundle(image: NDArray[np.generic]) -> Disc:

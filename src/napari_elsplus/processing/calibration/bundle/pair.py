@@ -15,7 +15,7 @@ from napari_elsplus.processing.images.sectioning import disc
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.bundle.location import Disc
+    from napari_elsplus.processing.calibration.bundle.location import Circle, Disc
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
 
     Image = NDArray[np.float32]
@@ -105,9 +105,9 @@ class BundlePair:
         return self.saturated <= MAX_SATURATED and self.structure <= MAX_STRUCTURE
 
     @property
-    def discs(self) -> list[tuple[tuple[float, float], float]]:
+    def discs(self) -> list[Circle]:
         """Centre and diameter in pixels of both views."""
-        return [(disc.centre, disc.diameter_px) for disc in (self.confocal, self.residual)]
+        return [self.confocal.circle, self.residual.circle]
 
     @property
     def split(self) -> int:

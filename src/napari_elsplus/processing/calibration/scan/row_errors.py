@@ -105,10 +105,8 @@ class RowProfile:
     def __init__(self, bundle: BundleSection, shape: tuple[int, int], bow_rows: float = 0.0) -> None:
         # The mean square distance from the middle is a quarter of the squared radius, that of the middles their part.
         self.bowed_rows = -bow_rows * MIDDLE_SHARE**2 / 4
-        self.offset_rows = bundle.residual_centre[0] - bundle.confocal_centre[0]
-        self._views = [
-            _chords(centre, bundle.diameter_px, shape) for centre in (bundle.confocal_centre, bundle.residual_centre)
-        ]
+        self.offset_rows = bundle.offset_rows
+        self._views = [_chords(centre, diameter_px, shape) for centre, diameter_px in bundle.discs]
         self.lit = np.stack([last > first for first, last in self._views])
 
     def __call__(self, frames: Frames) -> Floats:
