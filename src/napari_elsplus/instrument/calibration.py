@@ -24,6 +24,8 @@ ARRAYS = {"background": 2, "flat": 2, "distortion": 2, "gain_map": 2, "scan_corr
 """Dimensions of the arrays, which lie in the .npz beside the file, by name."""
 NEEDED_ARRAYS = ("distortion", "gain_map")
 """Those without which a calibration that was measured with them is wrong; a file with one of them has version 2."""
+DEFAULT_SLIT_ROWS: Final = 3.0
+"""Slit width where it is unknown, rows: that of the presets."""
 DISTORTION_SHAPE = (2, 10)
 """Row and column, and the ten coefficients of a polynomial of third degree in two variables."""
 
@@ -67,6 +69,11 @@ class AcquiredWith(Section):
     slit_rows: Positive | None = None
     frame_rate_hz: Positive | None = None
     gain_db: Finite | None = None
+
+    @property
+    def slit_rows_or_default(self) -> float:
+        """Slit width in rows; :data:`DEFAULT_SLIT_ROWS` where it is unknown."""
+        return self.slit_rows or DEFAULT_SLIT_ROWS
 
 
 _SETTING_WORDS: Final = {
@@ -311,6 +318,11 @@ class Calibration(Section):
         return None if self.optics is None else self.optics.um_per_px
 
     @property
+    def slit_rows(self) -> float:
+        """Slit width with which it was acquired, rows; :data:`DEFAULT_SLIT_ROWS` where it is unknown."""
+        return (self.acquired_with or AcquiredWith()).slit_rows_or_default
+
+    @property
     def frame_period_s(self) -> float | None:
         """Frame period in seconds; None if the timing is unknown."""
         optics = self.optics
@@ -373,6 +385,10 @@ class Calibration(Section):
     def with_galvo(self, **changes: float | None) -> Calibration:
         """Return the calibration with other values of the galvo section; a `CalibrationError` if there is none."""
         return self.model_copy(update={"galvo": self.measured_galvo.model_copy(update=changes)})
+
+    def with_optics(self, **changes: float | None) -> Calibration:
+        """Return the calibration with other values of the optics section, which is added if there is none."""
+        return self.model_copy(update={"optics": (self.optics or OpticsSection()).model_copy(update=changes)})
 
     def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:
         """Return the sections that no longer hold when the rig runs with other settings.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.instrument.calibration import OpticsSection
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.methods import RegistrationTracking
 
@@ -39,7 +38,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     if known is not None and known.line_periods_per_frame is not None:
         return calibration, ""
     shape = raw_pair(0)[0].shape
-    assumed = _with_rows(calibration, float(shape[0]))
+    assumed = calibration.with_optics(line_periods_per_frame=float(shape[0]))
     tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
     for index in range(min(len(raw_pair), MAX_FRAMES)):
         tracking.track(*raw_pair(index))
@@ -51,9 +50,4 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
             "give them with `calibrate --rows-per-frame`",
         )
     note = f"rows per frame estimated from the motion: {found.rows:.1f} +- {found.sigma:.1f}"
-    return _with_rows(calibration, found.rows), note
-
-
-def _with_rows(calibration: Calibration, rows: float) -> Calibration:
-    optics = (calibration.optics or OpticsSection()).model_copy(update={"line_periods_per_frame": rows})
-    return calibration.model_copy(update={"optics": optics})
+    return calibration.with_optics(line_periods_per_frame=found.rows), note

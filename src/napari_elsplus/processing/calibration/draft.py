@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection, OpticsSection
+from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection
 from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.galvo import GalvoMap
 from napari_elsplus.processing.calibration.measurements import Background
@@ -109,7 +109,7 @@ class Draft:
         timing = {"line_period_s": setup.line_period_s, "line_periods_per_frame": setup.line_periods_per_frame}
         given = {name: value for name, value in timing.items() if value is not None}
         if given:
-            update["optics"] = (known.optics or OpticsSection()).model_copy(update=given)
+            known = known.with_optics(**given)
         if known.frame is not None and known.frame.shape != setup.frame.shape:
             update |= dict.fromkeys(("background", "flat", "scan_correction", "quality"))
         return replace(self, calibration=known.model_copy(update=update))
@@ -124,15 +124,12 @@ class Draft:
         """
         known, bundle = self.calibration, self.calibration.bundle
         if bundle is not None:
-            scale = None if bundle_um is None else bundle_um / bundle.diameter_px
-            optics = (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})
-            known = known.model_copy(update={"optics": optics})
+            known = known.with_optics(um_per_px=None if bundle_um is None else bundle_um / bundle.diameter_px)
         return replace(self, calibration=known, bundle_um=bundle_um)
 
     def with_timing(self, **seconds_or_periods: float | None) -> Draft:
         """Return the draft with `line_period_s` (seconds) or `line_periods_per_frame`; None where it is unknown."""
-        optics = (self.calibration.optics or OpticsSection()).model_copy(update=seconds_or_periods)
-        return replace(self, calibration=self.calibration.model_copy(update={"optics": optics}))
+        return replace(self, calibration=self.calibration.with_optics(**seconds_or_periods))
 
     def with_calibration(self, calibration: Calibration) -> Draft:
         """Return the draft with another calibration."""

@@ -12,7 +12,6 @@ from napari_elsplus.instrument.calibration import (
     BundleSection,
     GalvoSection,
     OffsetSection,
-    OpticsSection,
     QualitySection,
 )
 from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
@@ -109,10 +108,7 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
     gain_map = measure_gain_map(HotPixels(draft.calibration.background).mended(pair.image), above_dark)
     known, above_dark = (each.with_view_arrays(distortion, gain_map) for each in (known, above_dark))
     if draft.bundle_um is not None:
-        scale = draft.bundle_um / pair.confocal.diameter_px
-        known = known.model_copy(
-            update={"optics": (known.optics or OpticsSection()).model_copy(update={"um_per_px": scale})}
-        )
+        known = known.with_optics(um_per_px=draft.bundle_um / pair.confocal.diameter_px)
     flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
     known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat, above_dark.background)})
     if draft.offset is not None:

@@ -12,7 +12,6 @@ from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
-from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.processing.calibration.sections import in_lamp_light, structure_of_flat_field
 from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
@@ -50,7 +49,7 @@ def with_uncertainty(value: float, uncertainty: float) -> str:
 
 def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSummary:
     """Summarize a slit offset: rows and micrometres, tilt, rows at the rim; see :class:`CalibrationStep`."""
-    scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows_or_default
     line, headline, warnings = offset.confocal, f"{with_uncertainty(offset.rows, offset.uncertainty_rows)} rows", []
     lit_px = line.columns[1] - line.columns[0]
     radius_px = (draft.bundle_um / scale if scale and draft.bundle_um else lit_px) / 2
@@ -76,7 +75,7 @@ def summarize_galvo(galvo: GalvoMap, draft: Draft, setup: Setup) -> StepSummary:
         f"bow of the line {with_uncertainty(galvo.bow_rows, galvo.bow_uncertainty_rows)} rows at the rim",
         f"{galvo.lines} of {frames} voltages fitted, {galvo.dark} without a whole line, {galvo.outliers} outliers",
     ]
-    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    slit_rows = setup.acquired_with.slit_rows_or_default
     if abs(galvo.bow_rows) > slit_rows / 2:
         warnings.append(
             f"the line is bowed by {galvo.bow_rows:.1f} rows: its ends miss the slit of {slit_rows:g} rows; "

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.simulation.model.axial_response import axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
@@ -72,7 +71,7 @@ def offset_picture(
 def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> list[str]:
     if found.rows == 0:
         return ["without an offset ELS+ is zero everywhere"]
-    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    slit_rows = setup.acquired_with.slit_rows_or_default
     line = _line(found, draft, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
     bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
@@ -99,7 +98,7 @@ def _line(found: SlitOffset, draft: Draft, slit_rows: float, scale: float) -> Li
 
 def _sectioning_against_offset(found: SlitOffset, draft: Draft, setup: Setup, scale: float) -> Plot:
     """Return what ELS+ keeps and how it sections against the slit offset, with the present offset marked."""
-    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
+    slit_rows = setup.acquired_with.slit_rows_or_default
     line, present_um = _line(found, draft, slit_rows, scale), abs(found.rows) * scale
     offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
     els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
-from napari_elsplus.processing.calibration.scan.measure import DEFAULT_SLIT_ROWS
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel, line_response
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def calibrated_line(calibration: Calibration, plate: Mapping[str, Any] | None = 
         "gap_um": GAP_SIGMA_UM,
     }
     estimate = LineEstimate(line, sigmas, ("spread", "gap_um"))
-    return estimate if plate is None else _fitted(estimate, plate, slit_rows(calibration) * um)
+    return estimate if plate is None else _fitted(estimate, plate, calibration.slit_rows * um)
 
 
 def line_of_parts(core_um: float, halo_um: float, halo_share: float) -> LineModel:
@@ -124,12 +123,6 @@ def line_of_parts(core_um: float, halo_um: float, halo_share: float) -> LineMode
     narrow_um = float(np.sqrt(max(core_um**2 - SPOT_UM**2, (0.2 * core_um) ** 2)))
     nearest = min(LINE_MODELS.values(), key=lambda line: abs(np.log(line.core_um / narrow_um)))
     return replace(nearest, core_um=narrow_um, halo_share=halo_share, halo_um=halo_um)
-
-
-def slit_rows(calibration: Calibration) -> float:
-    """Return the slit with which a calibration was acquired, rows; the usual one where it is unknown."""
-    acquired = calibration.acquired_with
-    return (None if acquired is None else acquired.slit_rows) or DEFAULT_SLIT_ROWS
 
 
 def _fitted(estimate: LineEstimate, plate: Mapping[str, Any], slit_um: float) -> LineEstimate:

@@ -14,7 +14,6 @@ from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.images.sectioning import line_offset_px
 from napari_elsplus.simulation.model.axial_response import LineModel, axial_response, drop_offs, signal_kept
 from napari_elsplus.workflows.recommendation.line_estimate import MODEL_SIGMA, calibrated_line
-from napari_elsplus.workflows.recommendation.line_estimate import slit_rows as present_slit_rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -130,7 +129,7 @@ def recommend(
     sigmas |= {"slit_rows": float(np.std(slits)), "offset_rows": float(np.std(offsets) / um)}
     present_px = line_offset_px(calibration)
     sign = -1.0 if present_px < 0 else 1.0
-    present = predict_line(estimate.line, abs(present_px) * um, present_slit_rows(calibration) * um, depth_um)
+    present = predict_line(estimate.line, abs(present_px) * um, calibration.slit_rows * um, depth_um)
     return Recommendation(
         depth_um, keep, float(slit_rows), sign * offset_um / um, expected, present, sigmas, estimate.assumed
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Setup
     from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp, Progress, Scans
-
-DEFAULT_SLIT_ROWS: Final = 3.0
-"""Slit width where the setup does not contain it: that of the presets."""
 
 
 def measure_scan(
@@ -50,8 +47,7 @@ def measure_scan(
     period_s = setup.line_period_s
     assert period_s is not None
     calibration = calibration.with_galvo(natural_hz=None, damping=None).model_copy(update={"scan_correction": None})
-    slit_rows = setup.acquired_with.slit_rows or DEFAULT_SLIT_ROWS
-    learner = RampLearner(scans, calibration, setup.frame.shape, slit_rows)
+    learner = RampLearner(scans, calibration, setup.frame.shape, setup.acquired_with.slit_rows_or_default)
     profiles = []
 
     def signal_at(lead_s: float, shift_rows: float) -> float:
