@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.analysis.curve_noise import scatter_at_depths
+from napari_elsplus.processing.analysis.curve_noise import means_at_depths
 from napari_elsplus.processing.analysis.falling_curve import DropOff, FallingCurve
 
 DEPTH_UM = np.r_[0.0, 8, np.arange(16.0, 64, 4), np.arange(68.0, 184, 8), np.arange(220.0, 720, 40)]
@@ -17,11 +17,8 @@ def share(depth_um: np.ndarray, half_um: float = 30.0) -> np.ndarray:
 
 
 def drops(depths_um: np.ndarray, signal: np.ndarray) -> list[DropOff]:
-    unique, place = np.unique(depths_um, return_inverse=True)
-    means = np.bincount(place, signal) / np.bincount(place)
-    curve = FallingCurve(
-        unique, means, scatter_at_depths(depths_um, signal, np.ones(len(signal))), 0.0, np.zeros(len(unique))
-    )
+    points = means_at_depths(depths_um, signal, np.ones(len(signal)))
+    curve = FallingCurve(points, 0.0, np.zeros(len(points.depth)))
     return [curve.drop(level) for level in (0.5, 0.1)]
 
 

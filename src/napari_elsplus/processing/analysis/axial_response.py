@@ -15,7 +15,7 @@ from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
-from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, scatter_at_depths
+from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, means_at_depths
 from napari_elsplus.processing.analysis.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.analysis.falling_curve import FallingCurve
 from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
@@ -293,17 +293,14 @@ def axial_response(
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
     ls, residual, weight = signals[0] * gains, signals[1] * gains, gains**-2
-    depth, ls_mean, residual_mean = _by_depth(depths, ls, residual, weight)
-    els_mean = ls_mean - residual_mean
-    contact = _peak(ls_mean)
-    beyond = slice(contact, None)
-    ls_scatter, els_scatter = (scatter_at_depths(depths, each, weight).beyond(contact) for each in (ls, ls - residual))
+    of_ls, of_residual, of_els = (means_at_depths(depths, each, weight) for each in (ls, residual, ls - residual))
+    contact = _peak(of_ls.mean)
     gain = float(np.average(gains, weights=weight))
     ls_zero_dn, residual_zero_dn = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
-    ls_fall = FallingCurve(depth[beyond], ls_mean[beyond], ls_scatter, ls_zero_dn, 0 * depth[beyond])
+    together_dn = systematic.gain * of_residual.mean[contact:]
+    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(together_dn))
     els_zero_dn = float(np.hypot(ls_zero_dn, residual_zero_dn))
-    together_dn = systematic.gain * residual_mean[beyond]
-    els_fall = FallingCurve(depth[beyond], els_mean[beyond], els_scatter, els_zero_dn, together_dn)
+    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, together_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -314,19 +311,18 @@ def axial_response(
         raise MeasurementError(problem, "is the residual's slit off the line?")
     kept = els_fall.contact / ls_fall.contact
     return AxialResponse(
-        depth_um=depth,
-        contact_um=float(depth[contact]),
-        ls=ls_mean / ls_fall.contact,
-        residual=residual_mean / ls_fall.contact,
-        els=els_mean / els_fall.contact,
+        depth_um=of_ls.depth,
+        contact_um=float(of_ls.depth[contact]),
+        ls=of_ls.mean / ls_fall.contact,
+        residual=of_residual.mean / ls_fall.contact,
+        els=of_els.mean / els_fall.contact,
         ls_3db=ls_fall.drop(LEVEL_3DB),
         ls_10db=ls_fall.drop(LEVEL_10DB),
         els_3db=els_fall.drop(LEVEL_3DB),
         els_10db=els_fall.drop(LEVEL_10DB),
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
-            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, systematic.gain * residual_mean[contact]])
-            / ls_fall.contact
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, together_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
     )
@@ -342,13 +338,6 @@ def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[
     if (different := len(np.unique(depth))) < MIN_POINTS:
         raise InputError(f"the scan has {different} different depths", f"give at least {MIN_POINTS}")
     return depth, signals[0], signals[1]
-
-
-def _by_depth(depth: Curve, ls: Curve, residual: Curve, weight: Curve) -> tuple[Curve, Curve, Curve]:
-    unique, place = np.unique(depth, return_inverse=True)
-    total = np.bincount(place, weight)
-    ls_mean, residual_mean = (np.bincount(place, weight * signal) / total for signal in (ls, residual))
-    return unique, ls_mean, residual_mean
 
 
 def _peak(signal: Curve) -> int:

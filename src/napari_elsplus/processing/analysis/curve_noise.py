@@ -26,25 +26,36 @@ _MIN_FREEDOM: Final = 3
 """Smallest number of frames beyond the first at such points; chosen: fewer do not show their own scatter."""
 
 
-class Scatter(NamedTuple):
-    """Frames at each depth, their weight, and the weighted sum of squares of their signals about the mean; (depths,).
+class DepthMeans(NamedTuple):
+    """Mean signal at each depth, in increasing order, from the frames that were recorded there.
 
-    The variance of the mean is that of a frame of weight 1 over the weight.
+    The variance of a mean is that of a frame of weight 1 over the weight.
+
+    Parameters
+    ----------
+    depth, mean : numpy.ndarray
+        (depths,) each depth once, and the weighted mean of the signals there.
+    frames, weight : numpy.ndarray
+        (depths,) number of the frames, and sum of their weights.
+    square : numpy.ndarray
+        (depths,) weighted sum of the squares of their signals about the mean.
     """
 
+    depth: Curve
+    mean: Curve
     frames: Curve
     weight: Curve
     square: Curve
 
-    def beyond(self, contact: int) -> Scatter:
-        """Return that of the depths from contact on.
+    def beyond(self, contact: int) -> DepthMeans:
+        """Return those from contact on.
 
         Parameters
         ----------
         contact : int
             Index of the depth of contact.
         """
-        return Scatter(*(values[contact:] for values in self))
+        return DepthMeans(*(values[contact:] for values in self))
 
 
 def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
@@ -77,32 +88,28 @@ def noise_of_curve(depth: Curve, signal: Curve) -> tuple[float, float]:
     return noise, float(np.sqrt(max(excess, 0.0)))
 
 
-def scatter_at_depths(depth: Curve, signal: Curve, weight: Curve) -> Scatter:
-    """Return the scatter of the frames recorded at each different depth.
+def means_at_depths(depth: Curve, signal: Curve, weight: Curve) -> DepthMeans:
+    """Return the means, and the scatter, of the frames recorded at each different depth.
 
     Parameters
     ----------
     depth, signal, weight : numpy.ndarray
         (T,) of each frame, in any order.
 
-    Returns
-    -------
-    Scatter
-        In increasing order of depth.
-
     Examples
     --------
-    >>> scatter_at_depths(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0]), np.ones(3)).square.tolist()
-    [2.0, 0.0]
+    >>> means = means_at_depths(np.array([0.0, 5.0, 0.0]), np.array([3.0, 1.0, 5.0]), np.ones(3))
+    >>> means.mean.tolist(), means.square.tolist()
+    ([4.0, 1.0], [2.0, 0.0])
     """
-    _, place, count = np.unique(depth, return_inverse=True, return_counts=True)
+    unique, place, count = np.unique(depth, return_inverse=True, return_counts=True)
     total = np.bincount(place, weight)
     mean = np.bincount(place, weight * signal) / total
     square = np.bincount(place, weight * np.square(signal - mean[place]))
-    return Scatter(*(np.asarray(values, np.float64) for values in (count, total, square)))
+    return DepthMeans(*(np.asarray(values, np.float64) for values in (unique, mean, count, total, square)))
 
 
-def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:
+def pooled_variance(points: DepthMeans, contact: float, level: float) -> float:
     """Return the variance of a frame of weight 1 at a level, over its squared share; NaN of too few frames near it.
 
     Variances are taken for proportional to the squared signal, as is that of the power. Of few
@@ -110,16 +117,17 @@ def pooled_variance(share: Curve, scatter: Scatter, level: float) -> float:
 
     Parameters
     ----------
-    share : numpy.ndarray
-        (depths,) signal over that in contact.
-    scatter : Scatter
+    points : DepthMeans
         Of the frames at each depth.
+    contact : float
+        Signal in contact.
     level : float
-        Share of the signal in contact.
+        Share of it.
     """
+    share = points.mean / contact
     near = (share > level / NEAR) & (share < level * NEAR)
-    freedom = round(float((scatter.frames[near] - 1).sum()))
+    freedom = round(float((points.frames[near] - 1).sum()))
     if freedom < _MIN_FREEDOM:
         return float("nan")
-    square = float((scatter.square[near] / np.square(share[near])).sum())
+    square = float((points.square[near] / np.square(share[near])).sum())
     return small_sample_factor(freedom) ** 2 * square / freedom

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from napari_elsplus.processing.analysis.curve_noise import NEAR, Scatter, noise_of_curve, pooled_variance
+from napari_elsplus.processing.analysis.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
 
 if TYPE_CHECKING:
@@ -57,27 +57,24 @@ class FallingCurve:
 
     Parameters
     ----------
-    depth, signal : numpy.ndarray
-        (depths,) in increasing order from contact, and mean signal.
-    scatter : Scatter
-        Frames at each depth, their weight and their scatter.
+    points : DepthMeans
+        Mean signal and scatter at each depth, from contact on.
     zero_dn : float
         Standard deviation of the signal's zero.
     together_dn : numpy.ndarray
         (depths,) fully correlated error of all depths.
     """
 
-    def __init__(self, depth: Curve, signal: Curve, scatter: Scatter, zero_dn: float, together_dn: Curve) -> None:
-        self._depth, self._signal, self._scatter = depth, signal, scatter
-        self._zero_dn, self._together_dn = zero_dn, together_dn
-        fitted = isotonic_regression(signal, increasing=False)
+    def __init__(self, points: DepthMeans, zero_dn: float, together_dn: Curve) -> None:
+        self._points, self._zero_dn, self._together_dn = points, zero_dn, together_dn
+        fitted = isotonic_regression(points.mean, increasing=False)
         first, last = fitted.blocks[:-1], fitted.blocks[1:]
         self._monotonic: Curve = fitted.x[first]
-        self._places: Curve = np.array([depth[a:b].mean() for a, b in zip(first, last, strict=True)])
-        self._places[0] = depth[0]
+        self._places: Curve = np.array([points.depth[a:b].mean() for a, b in zip(first, last, strict=True)])
+        self._places[0] = points.depth[0]
         self.contact = float(self._monotonic[0])
-        self._contact_weight = float(scatter.weight[: last[0]].sum())
-        self.noise, self._relative = noise_of_curve(depth, signal)
+        self._contact_weight = float(points.weight[: last[0]].sum())
+        self.noise, self._relative = noise_of_curve(points.depth, points.mean)
 
     def drop(self, level: float) -> DropOff:
         """Return the distance at which the curve falls to a level.
@@ -93,13 +90,13 @@ class FallingCurve:
             return DropOff(float("nan"), float("nan"))
         between = self._interpolated(share, below, level)
         crossing = self._fitted(between.at_um, level) or between
-        together = np.interp(crossing.at_um, self._depth, self._together_dn) - level * self._together_dn[0]
+        together = np.interp(crossing.at_um, self._points.depth, self._together_dn) - level * self._together_dn[0]
         per_um = level * self.contact * abs(crossing.relative_slope)
         random_um = float(np.sqrt(crossing.variance + self._variance(1.0, self._contact_weight))) * (
             level * self.contact / per_um
         )
         systematic_um = float(np.hypot((1 - level) * self._zero_dn, together)) / per_um
-        distance_um = float(crossing.at_um - self._depth[0])
+        distance_um = float(crossing.at_um - self._points.depth[0])
         return DropOff(distance_um, float(np.hypot(random_um, systematic_um)), random_um)
 
     def _interpolated(self, share: Curve, below: int, level: float) -> _Crossing:
@@ -116,13 +113,12 @@ class FallingCurve:
         what the fit leaves over and by the scatter of repeated frames, pooled: noise that repeated frames have in
         common is in the former alone.
         """
-        reach_um = FITTED * (about_um - self._depth[0])
-        near = np.abs(self._depth - about_um) <= reach_um
+        reach_um = FITTED * (about_um - self._points.depth[0])
+        near = np.abs(self._points.depth - about_um) <= reach_um
         if np.count_nonzero(near) < MIN_FITTED:
             return None
-        place, share = (self._depth[near] - about_um) / reach_um, self._signal[near] / self.contact
-        frames, weight, square = (values[near] for values in self._scatter)
-        square = square / self.contact**2
+        depth, mean, frames, weight, square = (values[near] for values in self._points)
+        place, share, square = (depth - about_um) / reach_um, mean / self.contact, square / self.contact**2
         terms = np.vander(place, _DEGREE + 1)
         curvature = np.linalg.inv(terms.T @ (weight[:, None] * terms))
         log_fit = np.full(len(place), np.log(level))
@@ -143,7 +139,7 @@ class FallingCurve:
 
     @property
     def _weight(self) -> float:
-        return float(self._scatter.weight.mean())
+        return float(self._points.weight.mean())
 
     def _variance(self, level: float, weight: float) -> float:
         """Return the relative variance of a mean of some weight at a level.
@@ -152,8 +148,8 @@ class FallingCurve:
         the latter weighted by the frames beyond the first at each depth: its degrees of freedom.
         """
         along_curve = ((self.noise / (level * self.contact)) ** 2 + self._relative**2) * self._weight
-        repeated = pooled_variance(self._signal / self.contact, self._scatter, level) / self.contact**2
+        repeated = pooled_variance(self._points, self.contact, level) / self.contact**2
         if np.isnan(repeated):
             return along_curve / weight
-        repeats = float(self._scatter.frames.mean()) - 1
+        repeats = float(self._points.frames.mean()) - 1
         return (along_curve + repeats * repeated) / (1 + repeats) / weight
