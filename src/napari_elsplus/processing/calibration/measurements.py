@@ -26,10 +26,9 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.images.resampling import resampled
+from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.processing.images.warping import crop_to_frame, within_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -180,9 +179,8 @@ def measure_pair(frames: Frames) -> BundlePair:
     saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
     alignment = align_views(frame, confocal, residual, saturated)
     light, side = frame - darkness(frame, (confocal.circle, residual.circle)), ceil(confocal.diameter_px)
-    to_frame = crop_to_frame(confocal.centre, side)
-    inside = disc(side, confocal.diameter_px) & within_frame(to_frame, side, frame.shape)
-    structure = structure_of_light(resampled(light, to_frame, side), inside)
+    inside = disc(side, confocal.diameter_px) & within_frame(crop_to_frame(confocal.centre, side), side, frame.shape)
+    structure = structure_of_light(cropped(light, confocal.centre, side), inside)
     pair = BundlePair(confocal, residual, alignment, frame, share, structure)
     if pair.shows_flat_field:
         _drift(frames, "flat field")

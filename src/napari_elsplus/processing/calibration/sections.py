@@ -23,8 +23,8 @@ from napari_elsplus.processing.calibration.bundle.pair import MAX_STRUCTURE, str
 from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.calibration.slit_offset import offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
+from napari_elsplus.processing.images.resampling import crop_to_frame, within_frame
 from napari_elsplus.processing.images.sectioning import disc
-from napari_elsplus.processing.images.warping import crop_to_frame, within_frame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,10 +18,10 @@ from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.modes import Frames as Frames
 from napari_elsplus.processing.images.modes import Mode as Mode
-from napari_elsplus.processing.images.resampling import Resampler
+from napari_elsplus.processing.images.resampling import Resampler, overlap, within_frame
 from napari_elsplus.processing.images.residual_gain import inverse_gain_map
 from napari_elsplus.processing.images.row_reference import reference_of_rows
-from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms, within_frame
+from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -276,19 +276,16 @@ class _View:
     ) -> None:
         self.brightness = brightness
         self._resampler = resampler
-        first, window = resampler.first, resampler.window
-        low = [max(f, 0) for f in first]
-        high = [min(f + size, limit) for f, size, limit in zip(first, window.shape, frame_shape, strict=True)]
-        if any(a >= b for a, b in zip(low, high, strict=True)):
+        self._in_frame, in_window = overlap(resampler.first, resampler.window.shape, frame_shape)
+        self._on_sensor = resampler.window[in_window]
+        if not self._on_sensor.size:
             raise CalibrationError(
                 f"a bundle view lies outside of the {frame_shape[0]} x {frame_shape[1]} frame",
                 "locate the bundle views again",
             )
-        self._in_frame = (slice(low[0], high[0]), slice(low[1], high[1]))
-        self._on_sensor = window[low[0] - first[0] : high[0] - first[0], low[1] - first[1] : high[1] - first[1]]
         self._background = None if background is None else np.ascontiguousarray(background[self._in_frame], np.float32)
-        self._cut = self._on_sensor.shape != window.shape
-        self._top_left = low[0] - first[0], low[1] - first[1]
+        self._cut = self._on_sensor.shape != resampler.window.shape
+        self._top_left = in_window[0].start, in_window[1].start
 
     def extract(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
         if self._background is None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
-from napari_elsplus.processing.images.resampling import resampled
+from napari_elsplus.processing.images.resampling import cropped, resampled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -204,7 +204,7 @@ class CoreMatcher:
         self.residual_centre = residual.centre
         self._scale = residual.diameter_px / confocal.diameter_px
         self.contrast = core_contrast(frame, radius)
-        self.confocal = resampled(self.contrast, self.grid_to_frame(confocal.centre, np.eye(2, 3)), self.side)
+        self.confocal = cropped(self.contrast, confocal.centre, self.side)
 
     @property
     def points(self) -> int:

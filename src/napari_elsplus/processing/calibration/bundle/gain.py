@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.calibration.bundle.core_matching import tiles
-from napari_elsplus.processing.images.resampling import resampled
+from napari_elsplus.processing.images.resampling import cropped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -66,8 +66,7 @@ def measure_gain(
     above_dark = frame - _spread_out(plane, frame)
 
     def both(image: Image) -> list[Image]:
-        confocal_view = resampled(image, matcher.grid_to_frame(confocal.centre, np.eye(2, 3)), matcher.side)
-        return [view[matcher.inside] for view in (confocal_view, residual_view(image))]
+        return [view[matcher.inside] for view in (cropped(image, confocal.centre, matcher.side), residual_view(image))]
 
     first, second = both(above_dark)
     tile, count = tiles(matcher.rows, matcher.cols)

@@ -27,7 +27,7 @@ from napari_elsplus.processing.calibration.bundle.distortion_evidence import MIN
 from napari_elsplus.processing.calibration.bundle.gain import measure_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.images.cores import core_pitch_px
-from napari_elsplus.processing.images.resampling import resampled
+from napari_elsplus.processing.images.resampling import cropped, resampled
 from napari_elsplus.processing.images.warping import warped
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ class _Views:
     def _resolves_cores(self, view: Disc) -> bool:
         """Return True if the core pattern stands out in the spectrum of a view."""
         matcher = self.matcher
-        image = resampled(matcher.contrast, matcher.grid_to_frame(view.centre, np.eye(2, 3)), matcher.side)
+        image = cropped(matcher.contrast, view.centre, matcher.side)
         try:
             core_pitch_px(image, matcher.inside)
         except MeasurementError:
@@ -231,9 +231,8 @@ def _core_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
 def _centre_alignment(views: _Views, refusal: str) -> Alignment:
     """Return the alignment by the centres; what they leave open, angle and scale, is uncertainty."""
     confocal, residual, matcher = views.confocal, views.residual, views.matcher
-    grid_to_residual = matcher.grid_to_frame(residual.centre, np.eye(2, 3))
-    gain, gain_uncertainty = views.gain(lambda image: resampled(image, grid_to_residual, matcher.side))
-    pair = resampled(matcher.contrast, grid_to_residual, matcher.side)[matcher.inside], matcher.confocal[matcher.inside]
+    gain, gain_uncertainty = views.gain(lambda image: cropped(image, residual.centre, matcher.side))
+    pair = cropped(matcher.contrast, residual.centre, matcher.side)[matcher.inside], matcher.confocal[matcher.inside]
     at_rim = (
         np.radians(ROTATION_DEG) * confocal.diameter_px / 2,
         (confocal.diameter_px - residual.diameter_px) / 2,
