@@ -60,11 +60,6 @@ class AlignmentModel(StrEnum):
     AFFINE = "affine"
 
     @property
-    def parameters(self) -> int:
-        """Number of parameters."""
-        return {AlignmentModel.SHIFT: 2, AlignmentModel.SIMILARITY: 4, AlignmentModel.AFFINE: 6}[self]
-
-    @property
     def matrices(self) -> Floats:
         """The 2 x 3 matrix of each parameter, acting on (row, col, 1): shape (parameters, 2, 3)."""
         shift = [[[0, 0, 1], [0, 0, 0]], [[0, 0, 0], [0, 0, 1]]]
@@ -74,14 +69,9 @@ class AlignmentModel(StrEnum):
             case AlignmentModel.SIMILARITY:
                 terms = [*shift, [[1, 0, 0], [0, 1, 0]], [[0, -1, 0], [1, 0, 0]]]
             case AlignmentModel.AFFINE:
-                terms = [*shift, *([[[1, 0, 0], [0, 0, 0]], [[0, 1, 0], [0, 0, 0]]])]
+                terms = [*shift, [[1, 0, 0], [0, 0, 0]], [[0, 1, 0], [0, 0, 0]]]
                 terms += [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
         return np.array(terms, np.float64)
-
-    @property
-    def identity(self) -> Floats:
-        """Parameters of the affine model for the identity."""
-        return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
     @property
     def constraints(self) -> Floats:
@@ -161,9 +151,9 @@ class CoreFit:
         return float(np.linalg.norm(self.influence[:, :2]) / np.sqrt(2))
 
     @property
-    def parameters(self) -> Floats:
-        """The motion as the parameters of the affine model: shift, then the matrix row by row."""
-        return np.concatenate([self.motion[:, 2], self.motion[:, :2].ravel()])
+    def departure(self) -> Floats:
+        """The motion less the identity, as parameters of the affine model: shift, then the matrix row by row."""
+        return np.concatenate([self.motion[:, 2], (self.motion[:, :2] - np.eye(2)).ravel()])
 
 
 class CoreMatcher:
@@ -279,25 +269,17 @@ class CoreMatcher:
         ------
         DifferentCoresError
             If the steps diverge.
-
-        Notes
-        -----
-        Of the sums of least squares, only products of the one view with the other are kept. Products of a view with
-        itself vanish on the signal, but not on its noise, which would rotate and stretch the fit in dim light.
         """
         motion = start.copy()
         motion[:, :2] = model.nearest(motion[:, :2])
         moves = model.displacements(self.rows, self.cols)
         target = self.confocal[self.inside].astype(np.float64)
-        of_target = self._slopes(self.confocal, moves)
+        of_target = slopes(self.confocal, moves, self.inside)
         for _ in range(20):
             moved = self.sample(motion)
             found = moved[self.inside].astype(np.float64)
-            of_found = self._slopes(moved, moves)
-            curvature = of_target.T @ of_found
-            curvature = (curvature + curvature.T) / 2
-            scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
-            step = np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0]
+            of_found = slopes(moved, moves, self.inside)
+            step, scores, curvature = newton_step(target, found, of_target, of_found)
             motion = motion + np.tensordot(step, model.matrices, 1)
             moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
             if moved_px > self.side / 4:
@@ -337,21 +319,74 @@ class CoreMatcher:
             curvature=np.moveaxis(curvature, -1, 0),
         )
 
-    def _slopes(self, image: Image, moves: Floats) -> Floats:
-        """Return the derivative of the image by each parameter, shape (points, parameters)."""
-        down, across = (np.asarray(np.gradient(image, axis=axis))[self.inside] for axis in (0, 1))
-        return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
-
     def sample(self, motion: Floats, by: ArrayLike = (0.0, 0.0)) -> Image:
         """Return the contrast of the residual view on the grid, (side, side), for a motion and a displacement `by`."""
         moved = motion + np.column_stack([np.zeros((2, 2)), by])
         return resampled(self.contrast, self.grid_to_frame(self.residual_centre, moved), self.side)
 
     def _at_rim(self, influence: Floats, model: AlignmentModel) -> float:
-        rim = float(np.hypot(self.rows, self.cols).max())
-        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-        errors = np.tensordot(influence, model.displacements(rim * np.sin(angles), rim * np.cos(angles)), 1)
+        rim = circle_points(float(np.hypot(self.rows, self.cols).max()))
+        errors = np.tensordot(influence, model.displacements(*rim), 1)
         return float(np.sqrt(np.square(errors).sum(axis=0).mean()))
+
+
+def slopes(image: Image, moves: Floats, pixels: NDArray[np.bool_]) -> Floats:
+    """Return the derivative of an image by each parameter of a motion, shape (points, parameters).
+
+    Parameters
+    ----------
+    image : numpy.ndarray
+        (side, side) float32.
+    moves : numpy.ndarray
+        Displacement of the points by each parameter, (parameters, 2, points).
+    pixels : numpy.ndarray
+        (side, side) bool: the points.
+    """
+    down, across = (np.asarray(np.gradient(image, axis=axis))[pixels] for axis in (0, 1))
+    return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
+
+
+def newton_step(target: Floats, found: Floats, of_target: Floats, of_found: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the step that aligns two images, the scores of their points, and the curvature of the match.
+
+    Of the sums of least squares, only products of the one image with the other are kept. Products of an image with
+    itself vanish on the signal, but not on its noise, which would rotate and stretch the fit in dim light.
+
+    Parameters
+    ----------
+    target, found : numpy.ndarray
+        Both images at the same points, (points,).
+    of_target, of_found : numpy.ndarray
+        Their derivatives, of :func:`slopes`.
+    """
+    curvature = of_target.T @ of_found
+    curvature = (curvature + curvature.T) / 2
+    scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
+    return np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0], scores, curvature
+
+
+def information_criterion(omitted: Floats, influence: Floats, parameters: int) -> float:
+    """Return the Bayesian information criterion of a model: Wald statistic of what it omits, and its parameters.
+
+    The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
+
+    Parameters
+    ----------
+    omitted : numpy.ndarray
+        Combinations of the parameters of a fuller fit that vanish in the model, (combinations,).
+    influence : numpy.ndarray
+        Contribution of each tile to their errors, (tiles, combinations).
+    parameters : int
+        Number of the model's parameters.
+    """
+    wald = float(omitted @ np.linalg.pinv(influence.T @ influence) @ omitted) if len(omitted) else 0.0
+    return wald + parameters * float(np.log(len(influence)))
+
+
+def circle_points(radius: float) -> tuple[Floats, Floats]:
+    """Return rows and columns of 24 points of a circle of a `radius` about 0."""
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    return radius * np.sin(angles), radius * np.cos(angles)
 
 
 def tiles(rows: Floats, cols: Floats) -> tuple[NDArray[np.intp], int]:

@@ -14,7 +14,13 @@ import numpy as np
 from scipy.linalg import null_space
 
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
-from napari_elsplus.processing.calibration.bundle.core_matching import tiles
+from napari_elsplus.processing.calibration.bundle.core_matching import (
+    circle_points,
+    information_criterion,
+    newton_step,
+    slopes,
+    tiles,
+)
 from napari_elsplus.processing.images.warping import POWERS, polynomial_terms, warped
 
 if TYPE_CHECKING:
@@ -89,7 +95,7 @@ class DistortedFit:
     correlation: float
 
     def criterion(self, model: DistortionModel) -> float:
-        """Return the Bayesian information criterion of a model: Wald statistic of what it omits, and its parameters.
+        """Return the Bayesian information criterion of a model.
 
         Parameters
         ----------
@@ -98,10 +104,8 @@ class DistortedFit:
         """
         space = model.basis.reshape(len(model.basis), -1)
         omitted = null_space(space).T
-        must_vanish = omitted @ self.coefficients.ravel()
         influence = self.influence @ (omitted @ self.basis.reshape(len(self.basis), -1).T).T
-        wald = float(must_vanish @ np.linalg.pinv(influence.T @ influence) @ must_vanish) if len(omitted) else 0.0
-        return wald + len(space) * float(np.log(len(influence)))
+        return information_criterion(omitted @ self.coefficients.ravel(), influence, len(space))
 
 
 class DistortionMatcher:
@@ -174,8 +178,7 @@ class DistortionMatcher:
     def _rim(self) -> Floats:
         """Terms at 24 points of the compared disc's rim, (10, 24)."""
         rim = float(np.hypot(self.matcher.rows, self.matcher.cols).max()) / self.radius_px
-        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-        return polynomial_terms(rim * np.sin(angles), rim * np.cos(angles))
+        return polynomial_terms(*circle_points(rim))
 
     def uncertainty_px(self, fit: DistortedFit) -> float:
         """Return one standard deviation of a fitted map along a row or column, at the rim.
@@ -233,17 +236,15 @@ class DistortionMatcher:
         """
         matcher, basis, coefficients = self.matcher, model.basis, start
         used = np.hypot(matcher.rows, matcher.cols) < part * self.radius_px
-        moves = np.tensordot(basis, self.terms[:, matcher.inside][:, used], 1)
-        target = matcher.confocal[matcher.inside][used].astype(np.float64)
-        of_target = self._slopes(matcher.confocal, moves, used)
+        pixels = matcher.inside.copy()
+        pixels[matcher.inside] = used
+        moves = np.tensordot(basis, self.terms[:, pixels], 1)
+        target = matcher.confocal[pixels].astype(np.float64)
+        of_target = slopes(matcher.confocal, moves, pixels)
         for _ in range(MAX_STEPS):
             moved = warped(matcher.contrast, self.positions(coefficients))
-            found = moved[matcher.inside][used].astype(np.float64)
-            of_found = self._slopes(moved, moves, used)
-            curvature = of_target @ of_found.T
-            curvature = (curvature + curvature.T) / 2
-            scores = (of_found * target - of_target * found) / 2
-            step = np.linalg.lstsq(curvature, scores.sum(axis=1), rcond=None)[0]
+            found = moved[pixels].astype(np.float64)
+            step, scores, curvature = newton_step(target, found, of_target, slopes(moved, moves, pixels))
             moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
             if moved_px > 0.2 * self.radius_px:
                 break
@@ -251,7 +252,7 @@ class DistortionMatcher:
             if moved_px < 2e-3:
                 break
         tile, count = tiles(matcher.rows[used], matcher.cols[used])
-        influence = estimator_influence(scores.T, curvature, tile, count)
+        influence = estimator_influence(scores, curvature, tile, count)
         return DistortedFit(coefficients, basis, influence, float(np.corrcoef(target, found)[0, 1]))
 
     def sample(self, coefficients: Floats, by: Floats) -> Image:
@@ -267,8 +268,3 @@ class DistortionMatcher:
         moved = coefficients.copy()
         moved[:, 0] += by
         return warped(self.matcher.contrast, self.positions(moved))
-
-    def _slopes(self, image: Image, moves: Floats, used: NDArray[np.bool_]) -> Floats:
-        """Return the derivative of the image by each parameter, shape (parameters, points)."""
-        down, across = (np.asarray(np.gradient(image, axis=axis))[self.matcher.inside][used] for axis in (0, 1))
-        return np.asarray(moves[:, 0] * down + moves[:, 1] * across, np.float64)

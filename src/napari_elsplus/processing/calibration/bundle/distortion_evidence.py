@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, circle_points
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
 from napari_elsplus.processing.images.warping import polynomial_terms
 
@@ -83,8 +83,7 @@ def distortion_evidence(shifts: TileShifts, radius_px: float) -> DistortionEvide
         misfit = float(np.square(measured - design @ parameters).sum())
         criterion[model] = count * float(np.log(misfit / count)) + len(parameters) * float(np.log(count))
     covariance = misfit / (count - len(parameters)) * np.linalg.pinv(design.T @ design)
-    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    rim = polynomial_terms(COMPARED_DISC * np.sin(angles), COMPARED_DISC * np.cos(angles))
+    rim = polynomial_terms(*circle_points(COMPARED_DISC))
     over_tiles, at_rim = _beyond_affine(terms, terms), _beyond_affine(rim, terms)
     by_chance = float(np.einsum("op,pq,oq->o", at_rim, covariance, at_rim).mean())
     found = float(np.square(at_rim @ parameters).mean())

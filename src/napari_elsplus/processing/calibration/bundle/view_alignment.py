@@ -21,6 +21,7 @@ from napari_elsplus.processing.calibration.bundle.core_matching import (
     CoreMatcher,
     DifferentCoresError,
     UnresolvedCoresError,
+    information_criterion,
 )
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionMatcher, DistortionModel
 from napari_elsplus.processing.calibration.bundle.distortion_evidence import MIN_DISTORTION_PX, distortion_evidence
@@ -356,11 +357,6 @@ def _other_cores(correlation: float) -> DifferentCoresError:
 
 
 def _criterion(affine: CoreFit, model: AlignmentModel) -> float:
-    """Return the Bayesian information criterion: Wald statistic of the model in the affine fit, and its parameters.
-
-    The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
-    """
-    must_vanish = model.constraints @ (affine.parameters - AlignmentModel.AFFINE.identity)
-    influence = affine.influence @ model.constraints.T
-    wald = float(must_vanish @ np.linalg.pinv(influence.T @ influence) @ must_vanish) if len(must_vanish) else 0.0
-    return wald + model.parameters * float(np.log(len(influence)))
+    """Return the Bayesian information criterion of a model by the affine fit."""
+    omitted, influence = model.constraints @ affine.departure, affine.influence @ model.constraints.T
+    return information_criterion(omitted, influence, len(model.matrices))
