@@ -12,6 +12,7 @@ from napari_elsplus import simulate_calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.calibration_report.report import (
+    COLOURS,
     calibration_numbers,
     draw_calibration_report,
     save_calibration_report,
@@ -44,6 +45,10 @@ def test_it_states_numbers_uncertainties_and_the_date(draft: Draft) -> None:
     assert f"{found.rows:.3f} ± {found.uncertainty_rows:.3f} rows" in offset
     assert "confocal" in offset
     assert "alignment error" in pair
+
+
+def test_each_of_its_colours_is_another() -> None:
+    assert len(set(COLOURS.values())) == len(COLOURS)
 
 
 def test_it_is_one_pdf_and_overwrites_nothing(draft: Draft, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle
 
 from napari_elsplus import __version__
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.calibration import FrameSection
+from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection, OpticsSection
 from napari_elsplus.io import replacing
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.step import StepState
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 PAGE_MM: Final = (210.0, 297.0)
 """Width and height of a page: A4."""
 COLOURS: Final = {
-    "blue": "#0072b2", "orange": "#d55e00", "green": "#009e73", "grey": "#7f7f7f", "vermilion": "#d55e00",
+    "blue": "#0072b2", "orange": "#e69f00", "green": "#009e73", "grey": "#7f7f7f", "vermilion": "#d55e00",
     "purple": "#cc79a7",
 }  # fmt: skip
 """Of Okabe and Ito's palette, for white paper."""
@@ -153,13 +153,13 @@ def _maybe(value: float, uncertainty: float | None, factor: float = 1.0) -> str:
 
 def _setup(calibration: Calibration) -> Setup:
     """Return the settings of a calibration's frames."""
-    optics, frame = calibration.optics, calibration.frame
+    optics = calibration.optics or OpticsSection()
     return Setup(
-        frame if frame is not None else FrameSection(shape=(1, 1)),
-        calibration.acquired_with or Setup(FrameSection(shape=(1, 1))).acquired_with,
-        line_period_s=None if optics is None else optics.line_period_s,
-        line_periods_per_frame=None if optics is None else optics.line_periods_per_frame,
-        um_per_px=calibration.um_per_px,
+        calibration.frame or FrameSection(shape=(1, 1)),
+        calibration.acquired_with or AcquiredWith(),
+        optics.line_period_s,
+        optics.line_periods_per_frame,
+        optics.um_per_px,
     )
 
 
