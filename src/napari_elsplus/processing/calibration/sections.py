@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.bundle.laser_gain import SweptLight
     from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
@@ -77,14 +78,12 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
         park_v=park_v,
         bow_rows=galvo.bow_rows,
         bow_uncertainty_rows=galvo.bow_uncertainty_rows,
-        **(
-            {}
-            if before is None
-            else {"lag_s": before.lag_s, "natural_hz": before.natural_hz, "damping": before.damping}
-        ),
+        **({} if before is None else {name: getattr(before, name) for name in ("lag_s", "natural_hz", "damping")}),
     )
-    known = _in_laser_light(known.model_copy(update={"galvo": section}), pair, galvo)
-    return _with_swept_flat_field(known, pair, galvo)
+    known = known.model_copy(update={"galvo": section})
+    if pair is None or galvo.light is None:
+        return known
+    return _with_swept_flat_field(_in_laser_light(known, pair, galvo.light), pair, galvo.light)
 
 
 def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
@@ -179,22 +178,18 @@ def with_darkness(draft: Draft) -> Calibration:
     return known if known.background is not None or draft.pair is None else _above_dark(known, draft.pair)
 
 
-def _in_laser_light(calibration: Calibration, pair: BundlePair | None, galvo: GalvoMap) -> Calibration:
+def _in_laser_light(calibration: Calibration, pair: BundlePair, light: SweptLight) -> Calibration:
     """Return a calibration with the gain in the light of a sweep, where it shows that of a located pair."""
-    if pair is None or galvo.light is None:
-        return calibration
-    found = laser_gain(galvo.light, in_lamp_light(calibration, pair))
+    found = laser_gain(light, in_lamp_light(calibration, pair))
     if found is None:
         return calibration
     update = {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
     return calibration.model_copy(update={"bundle": _bundle_section(pair).model_copy(update=update)})
 
 
-def _with_swept_flat_field(calibration: Calibration, pair: BundlePair | None, galvo: GalvoMap) -> Calibration:
+def _with_swept_flat_field(calibration: Calibration, pair: BundlePair, light: SweptLight) -> Calibration:
     """Return a calibration with the flat field of a sweep, where its bundle pair gave none."""
-    if calibration.flat is not None or pair is None or galvo.light is None:
-        return calibration
-    flat = swept_flat_field(galvo.light, calibration)
+    flat = swept_flat_field(light, calibration) if calibration.flat is None else None
     if flat is None or structure_of_flat_field(flat, calibration) > MAX_STRUCTURE:
         return calibration
     quality = _quality(calibration, pair, flat, darkness(pair.image, pair.discs))

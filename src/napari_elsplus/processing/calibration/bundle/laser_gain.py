@@ -20,7 +20,7 @@ from napari_elsplus.processing.images.sectioning import Sectioner, disc
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import BundleSection, Calibration
+    from napari_elsplus.instrument.calibration import Calibration
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
@@ -187,9 +187,11 @@ class LightCollector:
         return SweptLight(image, self._weight, self._offset_rows, np.stack([row, *above_dark], axis=1))
 
 
-def _has_moved(light: SweptLight, bundle: BundleSection) -> bool:
-    """Return True if the residual view is not where it was in the sweep."""
-    return abs(light.offset_rows - bundle.offset_rows) > MAX_OFFSET_CHANGE_ROWS
+def _sectioner(light: SweptLight, calibration: Calibration) -> Sectioner | None:
+    """Return the sectioner of a sweep's light; None if the residual view is not where it was in the sweep."""
+    if abs(light.offset_rows - calibration.measured_bundle.offset_rows) > MAX_OFFSET_CHANGE_ROWS:
+        return None
+    return Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
 
 
 def swept_flat_field(light: SweptLight, calibration: Calibration) -> Image | None:
@@ -211,12 +213,11 @@ def swept_flat_field(light: SweptLight, calibration: Calibration) -> Image | Non
     -----
     Rows are brought to one level: towards the rim the halo of lines beyond it is missing.
     """
-    bundle = calibration.measured_bundle
-    if _has_moved(light, bundle):
+    sectioner = _sectioner(light, calibration)
+    if sectioner is None:
         return None
-    sectioner = Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
     lit, weight = sectioner.ls(light.image), sectioner.ls(light.weight)
-    inside = disc(sectioner.side, bundle.diameter_px)
+    inside = disc(sectioner.side, sectioner.diameter_px)
     typical = float(np.median(weight[inside]))
     if typical < MIN_WEIGHT or np.mean(weight[inside] < MIN_RELATIVE_WEIGHT * typical) > MAX_UNCOVERED:
         return None
@@ -237,10 +238,9 @@ def laser_gain(light: SweptLight, calibration: Calibration) -> tuple[float, floa
     calibration : Calibration
         With the bundle section, its gain that of the lamp, and a gain map if there is one.
     """
-    bundle = calibration.measured_bundle
-    if _has_moved(light, bundle):
+    bundle, sectioner = calibration.measured_bundle, _sectioner(light, calibration)
+    if sectioner is None:
         return None
-    sectioner = Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
     confocal, residual = sectioner.ls(light.image), sectioner.residual(light.image)
     inside = disc(sectioner.side, COMPARED_DISC * bundle.diameter_px) & np.isfinite(residual)
     first, second = (np.where(inside, view, 0).sum(axis=1, dtype=np.float64) for view in (confocal, residual))
