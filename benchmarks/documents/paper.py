@@ -120,7 +120,7 @@ def draw_calibration(found: Calibrated) -> Figure:
     left.legend(frameon=False)
     right.plot(galvo.volts[galvo.used], galvo.rows[galvo.used], ".", color="0.4", markersize=3)
     volts = np.array([galvo.volts.min(), galvo.volts.max()])
-    right.plot(volts, [galvo.row(v) for v in volts.tolist()], color="#d55e00", linewidth=1)
+    right.plot(volts, np.asarray(galvo.row(volts)), color="#d55e00", linewidth=1)
     right.set(
         xlabel="galvo / V", ylabel="row of the line", title=f"1 - R\N{SUPERSCRIPT TWO} = {1 - galvo.r_squared:.1e}"
     )

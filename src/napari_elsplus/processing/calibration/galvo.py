@@ -111,7 +111,7 @@ class GalvoMap:
     used: NDArray[np.bool_]
     light: SweptLight | None = None
 
-    def row(self, volts: float) -> float:
+    def row(self, volts: float | Floats) -> float | Floats:
         """Return the row on which the line stands at a voltage in volts."""
         return (volts - self.volts_at_row_zero) / self.volts_per_row
 

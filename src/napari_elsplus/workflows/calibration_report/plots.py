@@ -55,15 +55,14 @@ def picture(
 
 def _galvo(found: GalvoMap) -> Sequence[Plot]:
     ends = np.array([found.volts.min(), found.volts.max()])
-    misses = found.rows - (found.volts - found.volts_at_row_zero) / found.volts_per_row
-    used = found.used
+    misses, used = found.rows - found.row(found.volts), found.used
     return (
         Plot(
             "voltage / V",
             "row",
             [
                 Curve("measured", found.volts, found.rows, "blue", "none", marks=True),
-                Curve("fit", ends, (ends - found.volts_at_row_zero) / found.volts_per_row, "orange"),
+                Curve("fit", ends, np.asarray(found.row(ends)), "orange"),
             ],
         ),
         Plot(
