@@ -38,8 +38,6 @@ class SaturationFit:
 
     limit_um: float
     rate_per_um: float
-    limit_uncertainty_um: float
-    rate_uncertainty_per_um: float
 
 
 def fit_saturation(offsets_um: ArrayLike, drops_um: ArrayLike) -> SaturationFit:
@@ -65,10 +63,9 @@ def fit_saturation(offsets_um: ArrayLike, drops_um: ArrayLike) -> SaturationFit:
     offset, drop = np.asarray(offsets_um, np.float64), np.asarray(drops_um, np.float64)
     start = (float(drop.max()), 1 / float(np.median(offset)))
     try:
-        (limit, rate), covariance = curve_fit(lambda x, a, b: a * (1 - np.exp(-b * x)), offset, drop, p0=start)
+        (limit, rate), _ = curve_fit(lambda x, a, b: a * (1 - np.exp(-b * x)), offset, drop, p0=start)
     except (RuntimeError, TypeError, ValueError) as error:
         raise MeasurementError(
             f"the drop-offs {drop} do not saturate ({error!s:.60})", "measure more offsets"
         ) from None
-    limit_error, rate_error = np.sqrt(np.diag(covariance))
-    return SaturationFit(float(limit), float(rate), float(limit_error), float(rate_error))
+    return SaturationFit(float(limit), float(rate))
