@@ -247,7 +247,7 @@ REGISTERED: Final[dict[str, CalibrationStep[Any]]] = {}
 """Steps by key, in their order; read with :func:`napari_elsplus.processing.calibration.steps.calibration_steps`."""
 
 
-def register(step: CalibrationStep[T]) -> CalibrationStep[T]:
+def register_step(step: CalibrationStep[T]) -> CalibrationStep[T]:
     """Append a step to the registry, or replace the one with its key; return it.
 
     Raises

@@ -20,7 +20,8 @@ from napari_elsplus.processing.calibration.slit_offset import (
     measure_offset,
     offset_at,
 )
-from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target, register
+from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target
+from napari_elsplus.processing.calibration.step import register_step as register_step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,13 +37,11 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import StepInputs
 
-register_step = register
-
 
 @cache
 def _load_added_steps() -> None:
     for entry_point in added_steps():
-        register(entry_point.load())
+        register_step(entry_point.load())
 
 
 def calibration_steps(first: Sequence[str] = ()) -> tuple[CalibrationStep[Any], ...]:
@@ -138,7 +137,7 @@ def _estimate_flat_field(inputs: StepInputs, draft: Draft) -> NDArray[np.float32
 
 _EVEN = "Probe on an evenly fluorescent target, laser on."
 
-OFFSET: Final = register(
+OFFSET: Final = register_step(
     CalibrationStep(
         key="offset",
         title="slit offset",
@@ -156,7 +155,7 @@ OFFSET: Final = register(
         option_help=file_options.OFFSET.help,
     )
 )
-GALVO: Final = register(
+GALVO: Final = register_step(
     CalibrationStep(
         key="galvo",
         title="galvo map",
@@ -173,7 +172,7 @@ GALVO: Final = register(
         option_help=file_options.GALVO.help,
     )
 )
-PAIR: Final = register(
+PAIR: Final = register_step(
     CalibrationStep(
         key="pair",
         title="bundle pair",
@@ -190,7 +189,7 @@ PAIR: Final = register(
         option_help=file_options.PAIR.help,
     )
 )
-LAG: Final = register(
+LAG: Final = register_step(
     CalibrationStep(
         key="lag",
         title="scan lag",
@@ -207,7 +206,7 @@ LAG: Final = register(
         needs=("galvo", "pair"),
     )
 )
-BACKGROUND: Final = register(
+BACKGROUND: Final = register_step(
     CalibrationStep(
         key="background",
         title="background",
@@ -224,7 +223,7 @@ BACKGROUND: Final = register(
         option_help=file_options.BACKGROUND.help,
     )
 )
-FLAT: Final = register(
+FLAT: Final = register_step(
     CalibrationStep(
         key="flat",
         title="flat field",
