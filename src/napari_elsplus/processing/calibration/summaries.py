@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
@@ -15,6 +16,7 @@ from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
 from napari_elsplus.processing.calibration.sections import in_lamp_light, structure_of_flat_field
 from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
+from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -100,9 +102,9 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     known, alignment, warnings = draft.calibration, pair.alignment, []
     evidence = ", ".join(f"{name} {extra:+.0f}" for name, extra in alignment.evidence.items())
     lines = [
-        f"{name}: {disc.centre[0]:.2f}, {disc.centre[1]:.2f} ± {disc.centre_uncertainty_px:.2f}, "
-        f"Ø {disc.diameter_px:.2f} ± {disc.diameter_uncertainty_px:.2f} px"
-        for name, disc in (("confocal", pair.confocal), ("residual", pair.residual))
+        f"{name}: {view.centre[0]:.2f}, {view.centre[1]:.2f} ± {view.centre_uncertainty_px:.2f}, "
+        f"Ø {view.diameter_px:.2f} ± {view.diameter_uncertainty_px:.2f} px"
+        for name, view in (("confocal", pair.confocal), ("residual", pair.residual))
     ]
     if alignment.refusal:
         lines.append(f"view alignment: by the centres to {alignment.uncertainty_px:.1f} px")
@@ -121,13 +123,13 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
                 f"the gain of the residual view varies by {100 * spread:.0f} % over the field: is the bundle lit from "
                 "its far end, the laser off? The residual view of a scanned target lacks the light from its focus"
             )
-    for name, disc in (("confocal", pair.confocal), ("residual", pair.residual)):
-        if disc.edge_seen < MIN_CERTAIN_EDGE:
+    for name, view in (("confocal", pair.confocal), ("residual", pair.residual)):
+        if view.edge_seen < MIN_CERTAIN_EDGE:
             warnings.append(
-                f"the edge of the {name} view is seen on {100 * disc.edge_seen:.0f} % of its circumference only: "
+                f"the edge of the {name} view is seen on {100 * view.edge_seen:.0f} % of its circumference only: "
                 "is the target dark at the bundle's rim?"
             )
-        if (share := seen_share(disc, pair.image.shape)) < 1:
+        if (share := seen_share(view, pair.image.shape)) < 1:
             warnings.append(
                 f"the frame's edge cuts the {name} view: {100 * share:.1f} % of its diameter is seen; there is no "
                 f"residual beyond: record a larger region"
@@ -235,8 +237,7 @@ def summarize_background(background: Background, _draft: Draft, _setup: Setup) -
 
 def summarize_flat_field(flat: NDArray[np.float32], draft: Draft, _setup: Setup) -> StepSummary:
     """Summarize a flat field: its unevenness; see :class:`CalibrationStep`."""
-    at = np.arange(len(flat)) - (len(flat) - 1) / 2
-    inside = np.hypot(at[:, None], at) < 0.45 * len(flat)
+    inside = disc(len(flat), USED_DIAMETER * len(flat))
     unevenness, structure = 100 * float(flat[inside].std()), structure_of_flat_field(flat, draft.calibration)
     warnings = [f"{_varies(structure)}: it is not used; take it on an even target"] * (structure > MAX_STRUCTURE)
     return StepSummary(f"{unevenness:.1f} % uneven", ["standard deviation in the 90 % disc, cores included"], warnings)

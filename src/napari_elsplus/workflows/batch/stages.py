@@ -14,6 +14,8 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
+from napari_elsplus.processing.images.sectioning import disc
 from napari_elsplus.workflows.batch.job import TRACK_NAME
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
@@ -107,10 +109,8 @@ def _calibration(job: BatchJob, recording: Recording) -> tuple[Calibration, str]
 
 
 def _contrast(image: NDArray[np.float32]) -> float:
-    """Return the standard deviation of an image (n, n) over its mean, within 90 % of the disc's diameter."""
-    side = len(image)
-    away_px = np.arange(side) - (side - 1) / 2
-    inside = image[np.hypot(away_px[:, None], away_px) < 0.45 * side]
+    """Return the standard deviation of an image (n, n) over its mean, in the disc of 90 % of its width."""
+    inside = image[disc(len(image), USED_DIAMETER * len(image))]
     mean = float(np.nanmean(inside))
     return float(np.nanstd(inside)) / mean if mean > 0 else float("nan")
 
