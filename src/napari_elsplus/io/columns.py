@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.text import read_lines
 
 if TYPE_CHECKING:
     import os
@@ -60,7 +61,7 @@ def volts_beside(sweep: str | os.PathLike[str]) -> Path | None:
 def read_column(path: str | os.PathLike[str], header: str) -> NDArray[np.float64]:
     """Read a CSV file of one column under the header given; see :func:`read_depths_um`."""
     path = Path(path)
-    lines = _lines(path)
+    lines = read_lines(path, "a CSV file of one column is expected", MAX_CSV_BYTES)
     if not lines or lines[0].strip().strip('"') != header:
         found = repr(lines[0][:40]) if lines else "nothing"
         raise InputError(
@@ -107,19 +108,6 @@ def write_table(
     lines = [",".join(row) for row in zip_longest(*cells, fillvalue="")]
     with replacing(path, force=force) as beside:
         beside.write_text("".join(f"{line}\n" for line in (",".join(columns), *lines)), encoding="utf-8")
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        if path.stat().st_size > MAX_CSV_BYTES:
-            raise InputError(f"{path.name} has {path.stat().st_size} bytes", "a CSV file of one column is expected")
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}", "check the path") from None
-    except ValueError:
-        raise InputError(f"{path.name} is no text", "a CSV file of one column is expected") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
 
 
 def _number(path: Path, line_number: int, line: str) -> float:

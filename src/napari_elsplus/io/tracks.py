@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.text import read_lines
 
 if TYPE_CHECKING:
     import os
@@ -103,15 +104,7 @@ def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
         Naming the line, if it is no track file.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}", "check the path") from None
-    except ValueError:
-        raise InputError(f"{path.name} is no text", "a track file is expected") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
-    lines = text.splitlines()
+    lines = read_lines(path, "a track file is expected")
     if not lines or tuple(lines[0].split(",")) != HEADER:
         raise InputError(
             f"{path.name} has the header {lines[0][:60] if lines else ''!r}", f"{','.join(HEADER)} is expected"

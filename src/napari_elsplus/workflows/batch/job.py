@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
+from napari_elsplus.io.text import read_lines
 from napari_elsplus.processing.images.modes import Mode
 
 if TYPE_CHECKING:
@@ -177,14 +178,9 @@ def _in_folder(folder: Path) -> list[Path]:
 def _in_list(file: Path) -> list[Path]:
     if format_of_name(file) is not None:
         raise InputError(f"{file} is one recording", "give a folder, or a text file that lists one path per line")
-    try:
-        if file.stat().st_size > MAX_LIST_BYTES:
-            raise InputError(f"{file} has {file.stat().st_size} bytes", "give a text file of one path per line")
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError(f"there is no folder or list {file}", "check the path") from None
-    except ValueError:
-        raise InputError(f"{file} is no text", "give a text file of one path per line") from None
+    if not file.exists():
+        raise InputError(f"there is no folder or list {file}", "check the path")
+    lines = read_lines(file, "give a text file of one path per line", MAX_LIST_BYTES)
     return [file.parent / line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 
