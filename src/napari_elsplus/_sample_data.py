@@ -14,10 +14,12 @@ from napari_elsplus.viewing.axial import simulated_scan
 from napari_elsplus.viewing.layers import TITLES, image_layers, raw_layer, side_by_side, titles_above
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack
-from napari_elsplus.workflows.simulated import RenderedFrames, simulate_calibration, simulate_recording
+from napari_elsplus.workflows.simulated import simulate_calibration, simulate_recording
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from napari_elsplus.simulation.rendering.frames import RenderedFrames
 
 PRESET: Final = "240hz"
 FRAMES: Final = 480

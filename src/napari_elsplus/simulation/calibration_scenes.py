@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from napari_elsplus.simulation.model.instrument import Instrument
@@ -29,8 +28,8 @@ LINE_LIGHT_FACTOR: Final = 25.0
 """Factor on the light for a standing line, seen by the bundle's weak autofluorescence alone; chosen."""
 
 
-def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Yield frames of a standing laser line, one frame at each voltage.
+def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: int = 0) -> RenderedFrames:
+    """Return frames of a standing laser line in a dark tube, one frame at each voltage.
 
     Parameters
     ----------
@@ -40,42 +39,15 @@ def standing_line(instrument: Instrument, volts: NDArray[np.float64], *, seed: i
         (n,) galvo voltages, one per frame.
     seed : int
         Seed of the camera's noise.
-
-    Yields
-    ------
-    numpy.ndarray
-        Raw frame (rows, cols), uint8.
-    """
-    renderer = line_renderer(instrument, seed=seed)
-    for k, volt in enumerate(volts):
-        yield renderer.render(k, line_rows=held_rows(instrument, volt))
-
-
-def line_renderer(instrument: Instrument, *, seed: int = 0) -> Renderer:
-    """Return a renderer of a standing line in a dark tube.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The simulated instrument.
-    seed : int
-        Seed of the camera's noise.
     """
     bright = replace(instrument, light_dn=instrument.light_dn * LINE_LIGHT_FACTOR)
-    return Renderer(bright, empty(), seed=seed)
+    renderer = Renderer(bright, empty(), seed=seed)
 
+    def render(index: int) -> NDArray[np.uint8]:
+        held_rows = np.full(instrument.frame_shape[0], instrument.line_row(volts[index]))
+        return renderer.render(index, line_rows=held_rows)
 
-def held_rows(instrument: Instrument, volt: float) -> NDArray[np.float64]:
-    """Return the line position (rows,) for :meth:`Renderer.render` at a constant voltage.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The simulated instrument.
-    volt : float
-        Galvo voltage, V.
-    """
-    return np.full(instrument.frame_shape[0], instrument.line_row(volt))
+    return RenderedFrames(render, len(volts))
 
 
 def line_volts(instrument: Instrument) -> NDArray[np.float64]:
@@ -91,8 +63,8 @@ def sweep_volts(instrument: Instrument) -> NDArray[np.float64]:
     return np.asarray(instrument.volts_at_row_zero + instrument.volts_per_row * rows)
 
 
-def transmission(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Yield frames of the bundle evenly lit from its distal end.
+def transmission(instrument: Instrument, *, seed: int = 0) -> RenderedFrames:
+    """Return frames of the bundle evenly lit from its distal end.
 
     Parameters
     ----------
@@ -101,12 +73,11 @@ def transmission(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[n
     seed : int
         Seed of the camera's noise.
     """
-    renderer = Renderer(instrument, distal_light(), seed=seed)
-    return (renderer.render(k) for k in range(TRANSMISSION_FRAMES))
+    return RenderedFrames(Renderer(instrument, distal_light(), seed=seed).render, TRANSMISSION_FRAMES)
 
 
-def dark_tube(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[np.uint8]]:
-    """Yield frames of the probe in a dark tube, the laser on and scanning.
+def dark_tube(instrument: Instrument, *, seed: int = 0) -> RenderedFrames:
+    """Return frames of the probe in a dark tube, the laser on and scanning.
 
     Parameters
     ----------
@@ -115,8 +86,7 @@ def dark_tube(instrument: Instrument, *, seed: int = 0) -> Iterator[NDArray[np.u
     seed : int
         Seed of the camera's noise.
     """
-    renderer = Renderer(instrument, empty(), seed=seed)
-    return (renderer.render(k) for k in range(BACKGROUND_FRAMES))
+    return RenderedFrames(Renderer(instrument, empty(), seed=seed).render, BACKGROUND_FRAMES)
 
 
 def background(instrument: Instrument, *, seed: int = 0) -> NDArray[np.float32]:

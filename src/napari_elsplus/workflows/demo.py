@@ -155,7 +155,7 @@ def _calibrate(stage: _Stage) -> Calibration:
     sweep = bench.standing_line(instrument, volts, seed=_SEED)
     draft = measure(
         line=list(bench.standing_line(instrument, bench.line_volts(instrument), seed=_SEED)),
-        sweep=[next(sweep) for _ in stage.progress(range(len(volts)), "sweeping the line")],
+        sweep=[sweep[k] for k in stage.progress(range(len(volts)), "sweeping the line")],
         volts=volts,
         bundle=list(bench.transmission(instrument, seed=_SEED)),
         background=list(bench.dark_tube(instrument, seed=_SEED)),

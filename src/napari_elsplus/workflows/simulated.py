@@ -28,44 +28,20 @@ from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
+from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.specimen.scenes import Scene, distal_light, empty, picture, scene
+from napari_elsplus.simulation.specimen.scenes import Scene, picture, scene
 from napari_elsplus.simulation.specimen.trajectories import Recorded, Trajectory, trajectory
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.workflows.progress import Progress
-
-
-@dataclass(frozen=True)
-class RenderedFrames:
-    """Raw frames (rows, cols) uint8 that are rendered when they are read: a sequence, for one thread at a time.
-
-    Parameters
-    ----------
-    render : callable
-        Returns the frame of an index.
-    count : int
-        Number of frames.
-    """
-
-    render: Callable[[int], NDArray[np.uint8]]
-    count: int
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> NDArray[np.uint8]:
-        return self.render(range(self.count)[index])
-
-    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        return (self[index] for index in range(self.count))
 
 
 @dataclass(frozen=True)
@@ -312,26 +288,15 @@ def simulate_calibration(
         preset, slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state], imperfections=imperfections
     )
     volts = calibration_scenes.sweep_volts(instrument)
-    transmission = Renderer(instrument, distal_light(), seed=seed + 2)
-    dark_tube = Renderer(instrument, empty(), seed=seed + 3)
     return SimulatedCalibrationFrames(
-        line=_standing_line(instrument, calibration_scenes.line_volts(instrument), seed),
-        sweep=_standing_line(instrument, volts, seed + 1),
-        bundle=RenderedFrames(transmission.render, calibration_scenes.TRANSMISSION_FRAMES),
-        background=RenderedFrames(dark_tube.render, calibration_scenes.BACKGROUND_FRAMES),
+        line=calibration_scenes.standing_line(instrument, calibration_scenes.line_volts(instrument), seed=seed),
+        sweep=calibration_scenes.standing_line(instrument, volts, seed=seed + 1),
+        bundle=calibration_scenes.transmission(instrument, seed=seed + 2),
+        background=calibration_scenes.dark_tube(instrument, seed=seed + 3),
         volts=volts,
         um_per_px=instrument.optics.um_per_px,
         truth={"seed": seed, **truth.geometry(instrument)},
     )
-
-
-def _standing_line(instrument: Instrument, volts: NDArray[np.float64], seed: int) -> RenderedFrames:
-    renderer = calibration_scenes.line_renderer(instrument, seed=seed)
-
-    def render(index: int) -> NDArray[np.uint8]:
-        return renderer.render(index, line_rows=calibration_scenes.held_rows(instrument, volts[index]))
-
-    return RenderedFrames(render, len(volts))
 
 
 def _simulated(
