@@ -31,10 +31,11 @@ class Followed(NamedTuple):
         return np.array([(row.row_px, row.col_px) for row in self.pipeline.rows])
 
 
-def followed(path: Trajectory, name: str, frames: int, *, finish: bool = True) -> Followed:
-    """A simulated recording, tracked, and refined if asked for."""
+def followed(path: Trajectory, name: str, frames: int, *, dark: slice = slice(0), finish: bool = True) -> Followed:
+    """A simulated recording, some frames of it dark, tracked, and refined if asked for."""
     renderer = Renderer(INSTRUMENT, scene(name), path, seed=1)
     raw = np.stack([renderer.render(k) for k in range(frames)])
+    raw[dark] = INSTRUMENT.black_dn
     optics = INSTRUMENT.optics
     calibration = true_calibration(INSTRUMENT, np.full(INSTRUMENT.frame_shape, INSTRUMENT.black_dn, np.float32))
     pipeline = Pipeline(calibration, INSTRUMENT.frame_shape)

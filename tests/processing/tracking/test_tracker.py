@@ -11,9 +11,10 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, settle
+from napari_elsplus.processing.tracking.registration.motion_models import turned_by
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
-from napari_elsplus.simulation.specimen.trajectories import Recorded
+from napari_elsplus.simulation.specimen.trajectories import Recorded, Spiral, Turning
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, fibres, record, smooth_path, texture
@@ -161,6 +162,21 @@ def test_a_short_blackout_is_bridged_and_said() -> None:
     assert states == ["tracked"] * 8 + ["predicted"] * 2 + ["tracked"] * 10
     place = np.array([(row.row_px, row.col_px) for row in pipeline.rows])
     assert np.abs(place - (truth.positions - truth.positions[0])).max() < 1.0
+
+
+def test_a_turning_probe_that_was_lost_is_expected_to_turn_on_as_before() -> None:
+    """By half a turn in one segment, which is no turn from there to the next one: that starts upright."""
+    path, dark = Turning(Spiral(8000.0), 250.0), slice(160, 167)
+    seen = followed(path, "fibres", 180, dark=dark, finish=False)
+    poses, angle = seen.pipeline.poses, path.angles_rad(seen.times_s)
+    states = [(pose.segment, pose.state.value) for pose in poses[159:]]
+    assert states == [(0, "tracked"), *5 * [(0, "predicted")], *3 * [(0, "lost")], *12 * [(1, "tracked")]]
+    for first, frames in ((159, range(160, 165)), (168, range(168, 180))):
+        turned = np.array([poses[k].angle for k in frames]) - poses[first].angle
+        assert np.abs(np.rad2deg(turned - angle[frames] + angle[first])).max() < 0.2
+    upright = turned_by(float(poses[168].angle - angle[168]))
+    moved = (seen.positions_px[168:] - seen.positions_px[168]) @ upright.T
+    assert np.abs(seen.found_px[168:] - seen.found_px[168] - moved).max() < 0.3
 
 
 def test_a_first_frame_that_shows_nothing_is_lost() -> None:

@@ -183,17 +183,17 @@ class Tracker:
         self._start = None
         if previous is self._last and self._motion.known:
             return None
-        before = self._motion, self._key, self._last
+        before = self._motion, self._turning, self._key, self._last
         pose = self._confirm(start, here) if start is not None and start.later is previous else None
         pose = pose or self._start_at(previous, here)
         if pose is None:
-            self._motion, self._key, self._last = before
+            self._motion, self._turning, self._key, self._last = before
         return pose
 
     def _start_at(self, previous: _Placed, here: _Placed) -> Pose | None:
         """Begin a segment under the widest prior; where the odds do not suffice the registration waits for the next."""
-        self._motion = self._unknown_motion()
-        origin = _Placed(previous.view, previous.index)
+        self._motion, self._turning = self._unknown_motion(), Turning(self._turning.rate, self._turning.surprise)
+        self._key = self._last = origin = _Placed(previous.view, previous.index)
         motion = self._widest
         waits = self.model is MotionModel.TRANSLATION
         link = self._link(origin, here, motion, _WAITING_ODDS_NATS if waits else MIN_ODDS_NATS)
@@ -201,7 +201,6 @@ class Tracker:
             return None
         if link.observed:
             return self._begin(here, link)
-        self._motion.follow(here.velocity, here.velocity_variance, successive=False)
         self._start = _Start(self.links.pop(), here, self._motion)
         return None
 
@@ -233,7 +232,7 @@ class Tracker:
         return self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
 
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
-        """Begin a segment with a frame."""
+        """Begin a segment with a frame that was placed."""
         here.row = here.col = here.angle = 0.0
         self._key = here
         self._segment += 1
@@ -251,7 +250,7 @@ class Tracker:
         row, col = turned_by(last.angle) @ ahead
         return Pose(
             self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
-            TrackingState.PREDICTED, last.angle,
+            TrackingState.PREDICTED, last.angle + self._expected_turn(last, here).angle,
         )  # fmt: skip
 
     def _test_rotation(self, *, renew: bool) -> None:
@@ -308,8 +307,7 @@ class Tracker:
         """Return the rotation between two frames that the turning so far suggests."""
         last, rate = self._last, self._turning.rate
         gap, apart = here.index - last.index, here.index - earlier.index
-        angle = last.angle - earlier.angle + rate * gap if self._motion.known else rate * apart
-        return Turn(angle, self._turning.spread(gap), apart)
+        return Turn(last.angle - earlier.angle + rate * gap, self._turning.spread(gap), apart)
 
     @property
     def _min_correlation(self) -> float:
@@ -317,7 +315,7 @@ class Tracker:
         return 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
-        """Set a frame's pose and velocity; return False if the probe moved too unevenly within the frames."""
+        """Set a frame's pose, follow its motion; return False if the probe moved too unevenly within the frames."""
         shutter, expected = self.grid.shutter, motion.displacement
         moved = shutter.displacement(link.warp, link.velocity)
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col)
@@ -339,15 +337,14 @@ class Tracker:
         here.angle, here.velocity = earlier.angle + link.turn, after
         row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
+        gap = here.index - self._last.index
+        if self.model is not MotionModel.TRANSLATION:
+            self._turning.follow(here.angle - self._last.angle, gap)
+        self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self.links.append(TrackedPair(earlier.index, here.index, moved, link))
         return True
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:
-        last = self._last
-        gap = here.index - last.index
-        if self.model is not MotionModel.TRANSLATION:
-            self._turning.follow(here.angle - last.angle, gap)
-        self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self._last, self._newest = here, link
         fall = 0.0 if isnan(self._usual) else self._usual - link.correlation
         self._fell = fall > sqrt(self._variance)

@@ -237,7 +237,15 @@ class Turning:
     Parameters
     ----------
     rate : float
-        Radians per frame; kept as an attribute.
+        Radians per frame.
+    surprise : float
+        Mean distance of rates from those expected, where it was learnt before the track was lost, radians per frame; at
+        least what it is before any rotation was seen.
+
+    Attributes
+    ----------
+    rate, surprise : float
+        Those so far.
 
     Examples
     --------
@@ -248,9 +256,9 @@ class Turning:
     (0.002, True)
     """
 
-    def __init__(self, rate: float = 0.0) -> None:
+    def __init__(self, rate: float = 0.0, surprise: float = 0.0) -> None:
         self.rate = rate
-        self._surprise = _FIRST_TURN
+        self.surprise = max(surprise, _FIRST_TURN)
 
     def follow(self, turned: float, frames: int) -> None:
         """Add a rotation.
@@ -263,9 +271,9 @@ class Turning:
             Frame periods within which the probe rotated.
         """
         miss = turned / frames - self.rate
-        self._surprise += _MEMORY * (abs(miss) - self._surprise)
+        self.surprise += _MEMORY * (abs(miss) - self.surprise)
         self.rate += _MEMORY * miss
 
     def spread(self, frames: int) -> float:
         """Return the standard deviation of the turn within so many frames about what is expected."""
-        return frames * (_LEAST_TURN + self._surprise)
+        return frames * (_LEAST_TURN + self.surprise)
