@@ -21,6 +21,8 @@ from napari_elsplus.processing.compiled import lean_kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+
 _BEFORE: Final = 2
 _AFTER: Final = 3
 """Pixels of the polynomial before the one that a sample follows, and after it."""
@@ -49,7 +51,7 @@ class FramePair(NamedTuple):
 
 
 @lean_kernel
-def row_shift(pair: FramePair, row: int, warp: NDArray[np.float64]) -> tuple[int, float, int, float, int, int]:
+def row_shift(pair: FramePair, row: int, warp: Warp) -> tuple[int, float, int, float, int, int]:
     """Return the shift of one row of the template in the image, and the columns in which both are lit.
 
     These are the image row above and the fraction below it, the whole column shift and its fraction, the first column
@@ -61,13 +63,13 @@ def row_shift(pair: FramePair, row: int, warp: NDArray[np.float64]) -> tuple[int
         Frames that are compared.
     row : int
         Row of the template.
-    warp : numpy.ndarray
-        (4,) a, b, s, d.
+    warp : Warp
+        From the template to the image.
     """
     first, last, middle = pair.first, pair.last, pair.middle
     y = row - middle
-    at = warp[0] * y + warp[1] + middle
-    shift = warp[2] * y + warp[3]
+    at = warp.a * y + warp.b + middle
+    shift = warp.s * y + warp.d
     above = int(np.floor(at))
     whole = int(np.floor(shift))
     if above < 0 or above + 1 >= len(pair.image):

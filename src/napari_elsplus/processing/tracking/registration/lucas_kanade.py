@@ -23,6 +23,7 @@ from napari_elsplus.processing.tracking.front_end.sampling import (
     reaches,
     row_shift,
 )
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,10 +32,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+TONE = 2
+"""Gain and offset between the frames: the first unknowns of all normal equations."""
 PARAMETERS = 4
-"""a, b, s, d of the warp."""
-UNKNOWNS = PARAMETERS + 2
-"""These, and the gain and offset between the frames."""
+"""a, b, s, d of the warp: the next ones."""
+UNKNOWNS = TONE + PARAMETERS
+"""Both together."""
 NOISE_GRADIENT = 0.6
 """Mean squared gradient of noise over its variance, 1 / px^2; derived for noise smoothed by 1 4 6 4 1."""
 MIN_SHARED = 0.1
@@ -70,27 +73,34 @@ class Workspace(NamedTuple):
 
     Parameters
     ----------
-    equations : numpy.ndarray
-        (7, 6, 6) float64; align uses the first three: normal equations of warp, gain and offset, right sides, a copy.
+    normal, right : numpy.ndarray
+        (7, 7) and (7,) float64: normal equations of gain, offset and warp; of rotation as well in its score test.
+    tone : numpy.ndarray
+        (2,) float64: gain and offset of the image against the template by regression.
+    stiffness, schur : numpy.ndarray
+        (4, 4) float64: information of the prior of a warp; what :func:`solve` leaves of the equations of a warp that is
+        not kept.
     samples : numpy.ndarray
         (2, n) float32, as wide as the frames.
-    tone : numpy.ndarray
-        (3,) float64: gain and offset of the image against the template by regression; and the ratio of their standard
-        deviations, which noise does not dilute.
     """
 
-    equations: Array
-    samples: NDArray[np.float32]
+    normal: Array
+    right: Array
     tone: Array
+    stiffness: Array
+    schur: Array
+    samples: NDArray[np.float32]
 
     @classmethod
     def of(cls, side: int) -> Workspace:
         """Return one for frames of so many rows and columns, `side`."""
-        return cls(np.zeros((7, UNKNOWNS, UNKNOWNS)), np.zeros((2, side), np.float32), np.array([1.0, 0.0, 1.0]))
+        stiffness, schur = np.zeros((2, PARAMETERS, PARAMETERS))
+        normal, right = np.zeros((UNKNOWNS + 1, UNKNOWNS + 1)), np.zeros(UNKNOWNS + 1)
+        return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros((2, side), np.float32))
 
 
 @lean_kernel
-def tone_between(pair: FramePair, warp: Array, row_step: int) -> tuple[float, float]:
+def tone_between(pair: FramePair, warp: Warp, row_step: int) -> tuple[float, float]:
     """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels.
 
     1 and 0 where the template is even.
@@ -99,8 +109,8 @@ def tone_between(pair: FramePair, warp: Array, row_step: int) -> tuple[float, fl
     ----------
     pair : FramePair
         Frames that are compared.
-    warp : numpy.ndarray
-        (4,) a, b, s, d.
+    warp : Warp
+        From the template to the image.
     row_step : int
         Every how many rows are used.
     """
@@ -126,9 +136,9 @@ def tone_between(pair: FramePair, warp: Array, row_step: int) -> tuple[float, fl
 
 @lean_kernel
 def accumulate(
-    pair: FramePair, warp: Array, row_step: int, finely: bool, work: Workspace
+    pair: FramePair, warp: Warp, row_step: int, finely: bool, work: Workspace
 ) -> tuple[float, float, float, float, float]:
-    """Fill the normal equations of a step, the first of the workspace.
+    """Fill the normal equations of a step, to be completed by :func:`complete`.
 
     Returns the number of pixels; the variances of template and image and their covariance, times that number; and the
     mean squared difference between the frames, weighted by the squared gradient: noise counts where structure is.
@@ -137,15 +147,15 @@ def accumulate(
     ----------
     pair : FramePair
         Frames that are compared.
-    warp : numpy.ndarray
-        (4,) a, b, s, d.
+    warp : Warp
+        From the template to the image.
     row_step, finely
         As of :class:`Iteration`.
     work : Workspace
         With gain and offset of the image against the template.
     """
     template, image, middle = pair.template, pair.image, pair.middle
-    normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
+    normal, right = work.normal, work.right
     normal[:] = 0.0
     right[:] = 0.0
     sum_i, sum_ii, sum_ti, steep, noise_level = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -159,17 +169,14 @@ def accumulate(
         else:
             corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
         i1, ii, ti, gradients, weighted = add_row(
-            template, row, (begin, end), corners, weights, tone, (row - middle, 1.0), normal, right
+            template, row, (begin, end), corners, weights, work.tone, (row - middle, 1.0), normal, right
         )
         sum_i += i1
         sum_ii += ii
         sum_ti += ti
         steep += gradients
         noise_level += weighted
-    for m in range(UNKNOWNS):
-        for n in range(m):
-            normal[m, n] = normal[n, m]
-    sum_tt, sum_t, count = normal[4, 4], normal[4, 5], normal[5, 5]
+    sum_tt, sum_t, count = normal[0, 0], normal[1, 0], normal[1, 1]
     if count == 0 or steep == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     return (
@@ -207,8 +214,8 @@ def add_row(
     powers : tuple of float
         (m,) derivatives of the row's shift by the m coefficients that each axis has.
     normal, right : numpy.ndarray
-        (2 m + 2, 2 m + 2) and (2 m + 2,) for the coefficients of rows, those of columns, gain and offset; rows of
-        gain and offset from the diagonal on.
+        (2 m + 2, 2 m + 2) and (2 m + 2,), or larger, for gain, offset, the coefficients of rows and those of columns;
+        columns of gain and offset from the diagonal on.
     """
     begin, end = columns
     gain, offset, half, zero = np.float32(tone[0]), np.float32(tone[1]), np.float32(0.5), np.float32(0)
@@ -239,28 +246,27 @@ def add_row(
     size = len(powers)
     for m in range(2):
         for p in range(size):
-            at = size * m + p
+            at = TONE + size * m + p
             for n in range(2):
                 for q in range(size):
-                    normal[at, size * n + q] += powers[p] * powers[q] * gradients[m][n]
-            normal[at, 2 * size] += powers[p] * with_tone[m]
-            normal[at, 2 * size + 1] += powers[p] * both[m]
+                    normal[at, TONE + size * n + q] += powers[p] * powers[q] * gradients[m][n]
+            normal[at, 0] += powers[p] * with_tone[m]
+            normal[at, 1] += powers[p] * both[m]
             right[at] += powers[p] * with_residual[m]
-    of_gain = 2 * size
-    normal[of_gain, of_gain] += float(tt)
-    normal[of_gain, of_gain + 1] += float(t1)
-    normal[of_gain + 1, of_gain + 1] += end - begin
-    right[of_gain] += float(ti) - tone[0] * float(tt) - tone[1] * float(t1)
-    right[of_gain + 1] += float(i1) - tone[0] * float(t1) - tone[1] * (end - begin)
+    normal[0, 0] += float(tt)
+    normal[1, 0] += float(t1)
+    normal[1, 1] += end - begin
+    right[0] += float(ti) - tone[0] * float(tt) - tone[1] * float(t1)
+    right[1] += float(i1) - tone[0] * float(t1) - tone[1] * (end - begin)
     return float(i1), float(ii), float(ti), float(yy) + float(xx), float(gg)
 
 
 @lean_kernel
 def align(
-    pair: FramePair, how: Iteration, expected: Array, stiffness: Array, correlated_px: float, warp: Array,
+    pair: FramePair, how: Iteration, expected: Warp, stiffness: Array, correlated_px: float, warp: Warp,
     information: Array, work: Workspace,
-) -> tuple[float, float]:  # fmt: skip
-    """Refine a warp in place; fill its information matrix; return correlation and number of pixels of the overlap.
+) -> tuple[float, float, Warp]:  # fmt: skip
+    """Refine a warp; fill its information matrix.
 
     Parameters
     ----------
@@ -268,15 +274,14 @@ def align(
         Frames that are compared.
     how : Iteration
         How often, and of which rows.
-    expected, stiffness : numpy.ndarray
-        (4,) and (4, 4) float64, or larger: prior mean of the warp, and its information; zero leaves a
-        parameter free.
+    expected, stiffness : Warp, numpy.ndarray
+        Prior mean of the warp, and its (4, 4) float64 information; zero leaves a parameter free.
     correlated_px : float
         Number of pixels that share one independent noise value: scales the information.
-    warp : numpy.ndarray
-        (4,) float64: a, b, s, d; where to start, and the result.
+    warp : Warp
+        Where to start.
     information : numpy.ndarray
-        (4, 4) float64: inverse covariance of the result, the prior included.
+        (4, 4) float64, filled: inverse covariance of the result, the prior included.
     work : Workspace
         For frames of this size or larger; its gain and offset are where to start, and refined.
 
@@ -285,112 +290,100 @@ def align(
     float
         Zero-mean normalised correlation just before the last step; 0 where there is no overlap or no structure.
     float
-        Number of pixels in it.
+        Number of pixels of the overlap.
+    Warp
+        The result.
     """
-    normal, right, tone = work.equations[0], work.equations[1, 0], work.tone
+    normal, right, tone = work.normal, work.right[:UNKNOWNS], work.tone
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(how.steps):
         count, template_sum, image_sum, both, noise = accumulate(pair, warp, how.row_step, how.finely, work)
         if not (template_sum > 0 and image_sum > 0):
-            return 0.0, count
+            return 0.0, count, warp
         ncc = both / np.sqrt(template_sum * image_sum)
         noise = max(noise, 1e-6 * image_sum / count) * correlated_px
         if how.finely:
             # noise adds to the gradient of the template: what both frames share of it is information
-            shared = 1 - NOISE_GRADIENT * (1 - ncc) * template_sum / (normal[1, 1] + normal[3, 3])
+            shared = 1 - NOISE_GRADIENT * (1 - ncc) * template_sum / (normal[3, 3] + normal[5, 5])
             noise /= max(shared, MIN_SHARED) ** 2
         # a pixel of motion changes the image by the template's gradient times the gain
-        gain = tone[2] = np.sqrt(image_sum / template_sum)
-        scale_by_gain(normal, right, gain)
+        complete(normal, right, np.sqrt(image_sum / template_sum))
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
-                normal[i, k] += stiffness[i, k] * noise
-                right[i] += stiffness[i, k] * noise * (warp[k] - expected[k])
-        if not solve(normal, right, work.equations[2]):
-            return 0.0, count
-        da, db, ds, dd = right[0], right[1], right[2], right[3]
+                normal[TONE + i, TONE + k] += stiffness[i, k] * noise
+                right[TONE + i] += stiffness[i, k] * noise * (warp[k] - expected[k])
+        if not solve(normal, right, TONE, information):
+            return 0.0, count, warp
+        da, db, ds, dd = right[2], right[3], right[4], right[5]
         if abs(da) > 0.2 or abs(ds) > 0.2:
-            return 0.0, count
-        s = (warp[2] - ds) / (1 + da)
-        a = warp[0] / (1 + da)
-        warp[1] -= a * db
-        warp[3] -= dd + s * db
-        warp[0], warp[2] = a, s
-        tone[0] += right[PARAMETERS]
-        tone[1] += right[PARAMETERS + 1]
-        # information on the warp once gain and offset are eliminated: the Schur complement, left by the elimination
+            return 0.0, count, warp
+        a, s = warp.a / (1 + da), (warp.s - ds) / (1 + da)
+        warp = Warp(a, warp.b - a * db, s, warp.d - dd - s * db)
+        tone[0] += right[0]
+        tone[1] += right[1]
         for i in range(PARAMETERS):
             for k in range(PARAMETERS):
-                information[i, k] = normal[i, k] / noise
+                information[i, k] /= noise
         if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(pair.first) < how.tolerance_px:
             break
-    return ncc, count
+    return ncc, count, warp
 
 
 @lean_kernel
-def scale_by_gain(normal: Array, right: Array, gain: float) -> None:
-    """Multiply the derivatives by the warp in normal equations, which are the template's, by the gain of the image.
+def complete(normal: Array, right: Array, gain: float) -> None:
+    """Multiply the derivatives by motion in normal equations, which are the template's, by the gain of the image.
 
     Parameters
     ----------
     normal, right : numpy.ndarray
-        As of :func:`accumulate`.
+        (n, n), or larger, and (n,) float64: gain and offset, then motion. What stands above the diagonal is filled.
     gain : float
         Ratio of the frames' standard deviations.
     """
-    for i in range(PARAMETERS):
-        right[i] *= gain
-        for k in range(PARAMETERS):
-            normal[i, k] *= gain * gain
-        for k in range(PARAMETERS, UNKNOWNS):
-            normal[i, k] *= gain
-            normal[k, i] *= gain
+    for i in range(len(right)):
+        of_row = gain if i >= TONE else 1.0
+        right[i] *= of_row
+        for k in range(i + 1):
+            normal[i, k] *= of_row * (gain if k >= TONE else 1.0)
+            normal[k, i] = normal[i, k]
 
 
 @lean_kernel
-def solve(normal: Array, right: Array, rest: Array) -> bool:
-    """Solve symmetric equations in place, gain and offset first; leave the warp's Schur complement in `normal`.
+def solve(normal: Array, right: Array, begin: int, schur: Array) -> bool:
+    """Solve symmetric equations in place by elimination of the first unknown, the second, and so on.
 
-    `rest` is scratch of the size of `normal`.
+    Returns False where they constrain an unknown too little.
 
     Parameters
     ----------
     normal : numpy.ndarray
-        (n, n) float64; left with the Schur complement of the warp.
+        (n, n) float64, or larger; each row is left as it was when its unknown was eliminated.
     right : numpy.ndarray
         (n,) float64; the solution in return.
-    rest : numpy.ndarray
-        (n, n) float64 scratch.
+    begin : int
+        The unknown from which on a warp stands.
+    schur : numpy.ndarray
+        (4, 4) float64, filled: equations of the warp once the unknowns before it are eliminated.
     """
     size = len(right)
-    for pivot in range(size - 1, PARAMETERS - 1, -1):
+    for pivot in range(size):
+        if pivot == begin:
+            for i in range(PARAMETERS):
+                for k in range(PARAMETERS):
+                    schur[i, k] = normal[begin + i, begin + k]
+        of_warp = 0 <= pivot - begin < PARAMETERS
+        least = 1e-9 * schur[pivot - begin, pivot - begin] if of_warp else 0.0
         p = normal[pivot, pivot]
-        if not p > 0:
+        if not p > least:
             return False
-        for i in range(pivot):
+        for i in range(pivot + 1, size):
             f = normal[i, pivot] / p
-            for k in range(pivot):
+            for k in range(pivot, size):
                 normal[i, k] -= f * normal[pivot, k]
             right[i] -= f * right[pivot]
-    for i in range(PARAMETERS):
-        for k in range(PARAMETERS):
-            rest[i, k] = normal[i, k]
-    for pivot in range(PARAMETERS):
-        p = rest[pivot, pivot]
-        if not p > 1e-9 * normal[pivot, pivot]:
-            return False
-        for i in range(pivot + 1, PARAMETERS):
-            f = rest[i, pivot] / p
-            for k in range(pivot, PARAMETERS):
-                rest[i, k] -= f * rest[pivot, k]
-            right[i] -= f * right[pivot]
-    for i in range(PARAMETERS - 1, -1, -1):
-        for k in range(i + 1, PARAMETERS):
-            right[i] -= rest[i, k] * right[k]
-        right[i] /= rest[i, i]
-    for i in range(PARAMETERS, size):
-        for k in range(i):
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
             right[i] -= normal[i, k] * right[k]
         right[i] /= normal[i, i]
     return True

@@ -17,14 +17,15 @@ from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import (
-    PARAMETERS,
+    TONE,
     UNKNOWNS,
     Iteration,
     accumulate,
-    scale_by_gain,
+    complete,
     solve,
     tone_between,
 )
+from napari_elsplus.processing.tracking.registration.odds import in_pixels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -195,63 +196,44 @@ def score_rotation(
     found : numpy.ndarray
         (7,) float64, filled: the fields of :class:`Remainder`.
     """
-    normal, right, copy, tone = work.equations[0], work.equations[1, 0], work.equations[3], work.tone
-    with_turn, along, scaled = work.equations[1, 1], work.equations[1, 2], work.equations[5, 0]
-    scaled[0], scaled[1], scaled[2], scaled[3] = warp.a, warp.b / px, warp.s, warp.d / px
-    tone[0], tone[1] = tone_between(pair, scaled, _SCORED.tone_step)
-    count, template_sum, image_sum, _, noise = accumulate(pair, scaled, _SCORED.row_step, _SCORED.finely, work)
+    normal, right, tone = work.normal, work.right, work.tone
+    there = in_pixels_of(px, warp)
+    tone[0], tone[1] = tone_between(pair, there, _SCORED.tone_step)
+    count, template_sum, image_sum, _, noise = accumulate(pair, there, _SCORED.row_step, _SCORED.finely, work)
     noise *= correlated_px
     if not (noise > 0 and template_sum > 0 and image_sum > 0):
         return False
-    itself, left = _rotation_products(pair, column, scaled, tone, with_turn)
-    gain = np.sqrt(image_sum / template_sum)
-    scale_by_gain(normal, right, gain)
-    for k in range(UNKNOWNS):
-        with_turn[k] *= gain * gain if k < PARAMETERS else gain
-        along[k] = with_turn[k]
-    normal[0, 0] += stiffness[0] * noise
-    normal[2, 2] += stiffness[1] * noise
-    for i in range(UNKNOWNS):
-        for k in range(UNKNOWNS):
-            copy[i, k] = normal[i, k]
-    if not (solve(normal, right, work.equations[2]) and solve(copy, along, work.equations[2])):
-        return False
+    _add_rotation(pair, column, there, work)
+    complete(normal, right, np.sqrt(image_sum / template_sum))
     of_prior = noise / turn[1] ** 2
-    known, score = gain * gain * itself + of_prior, gain * left + turn[0] * of_prior
-    for k in range(UNKNOWNS):
-        known -= with_turn[k] * along[k]
-        score -= with_turn[k] * right[k]
-    if not known > 0:
+    normal[TONE, TONE] += stiffness[0] * noise
+    normal[TONE + 2, TONE + 2] += stiffness[1] * noise
+    normal[UNKNOWNS, UNKNOWNS] += of_prior
+    right[UNKNOWNS] += turn[0] * of_prior
+    if not solve(normal, right, TONE, work.schur):
         return False
-    angle = score / known
-    for k in range(PARAMETERS):
-        found[k] = right[k] - along[k] * angle
-    found[1] *= px
-    found[3] *= px
-    found[4], found[5], found[6] = angle, np.sqrt(noise / known), count / correlated_px
+    found[0], found[1], found[2], found[3] = right[TONE], right[TONE + 1] * px, right[TONE + 2], right[TONE + 3] * px
+    found[4], found[5], found[6] = right[UNKNOWNS], np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS]), count / correlated_px
     return True
 
 
 @lean_kernel
-def _rotation_products(
-    pair: FramePair, column: float, warp: Matrix, tone: Matrix, with_others: Matrix
-) -> tuple[float, float]:
-    """Return the sum of the product of a rotation's derivative with itself, and with the residual.
+def _add_rotation(pair: FramePair, column: float, warp: Warp, work: Workspace) -> None:
+    """Add the equation of a rotation to normal equations, as the last one.
 
     Parameters
     ----------
-    pair, column, warp
+    pair, column
         As of :func:`score_rotation`.
-    tone : numpy.ndarray
-        Gain and offset of the image against the template.
-    with_others : numpy.ndarray
-        (6,) float64, filled: with the derivatives by a, b, s, d, gain and offset.
+    warp : Warp
+        In pixels of these images.
+    work : Workspace
+        With gain and offset of the image against the template.
     """
-    with_others[:] = 0.0
-    itself, left, half, height = 0.0, 0.0, np.float32(0.5), len(pair.template)
-    template, image, middle = pair.template, pair.image, pair.middle
+    template, image, middle, half = pair.template, pair.image, pair.middle, np.float32(0.5)
+    products, right, tone = work.normal[UNKNOWNS], work.right, work.tone
     gain, offset = np.float32(tone[0]), np.float32(tone[1])
-    for row in range(1, height - 1):
+    for row in range(1, len(template) - 1):
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
@@ -270,12 +252,11 @@ def _rotation_products(
             wt += w * t
             w1 += w
         y = row - middle
-        itself += float(ww)
-        left += float(we)
-        with_others[0] += y * wy
-        with_others[1] += wy
-        with_others[2] += y * wx
-        with_others[3] += wx
-        with_others[4] += wt
-        with_others[5] += w1
-    return itself, left
+        products[0] += wt
+        products[1] += w1
+        products[2] += y * wy
+        products[3] += wy
+        products[4] += y * wx
+        products[5] += wx
+        products[UNKNOWNS] += ww
+        right[UNKNOWNS] += we

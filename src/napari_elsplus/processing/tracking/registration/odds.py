@@ -18,6 +18,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align, tone_between
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def blocks(side: int) -> Array:
 
 
 @lean_kernel
-def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
+def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
     The noise of a block is what the warp leaves unexplained in it, its weight that of a Wiener filter.
@@ -63,8 +64,8 @@ def log_ratio(pair: FramePair, warp: Array, other: Array, sums: Array) -> float:
     ----------
     pair : FramePair
         High-passed frames of half resolution.
-    warp, other : numpy.ndarray
-        (4,) a, b, s, d of both in pixels of half resolution.
+    warp, other : Warp
+        Both, in pixels of half resolution.
     sums : numpy.ndarray
         From :func:`blocks`.
     """
@@ -159,7 +160,7 @@ def write_prior(px: float, terms: Terms, weight: float, out: Array) -> None:
 
 
 @lean_kernel
-def prior_terms(warp: Array, expected: Array, terms: Terms) -> tuple[float, float]:
+def prior_terms(warp: Warp, expected: Warp, terms: Terms) -> tuple[float, float]:
     """Return the weight of the motion prior at a warp, and minus its logarithm over that of the expected warp, nats.
 
     The prior is Student's t-distribution of shift, stretch and shear; the weight is that of the Gaussian that has its
@@ -167,14 +168,14 @@ def prior_terms(warp: Array, expected: Array, terms: Terms) -> tuple[float, floa
 
     Parameters
     ----------
-    warp, expected : numpy.ndarray
-        (4,) a, b, s, d, pixels of full resolution.
+    warp, expected : Warp
+        In pixels of full resolution.
     terms : tuple of float
         :attr:`~.motion_prior.MotionPrior.terms`.
     """
     tie, slope, of_shift = terms
-    down, across = warp[1] - expected[1], warp[3] - expected[3]
-    stretch, shear = warp[0] - expected[0] - slope * down, warp[2] - expected[2] - slope * across
+    down, across = warp.b - expected.b, warp.d - expected.d
+    stretch, shear = warp.a - expected.a - slope * down, warp.s - expected.s - slope * across
     surprise = of_shift * (down * down + across * across) + tie * (stretch * stretch + shear * shear)
     freedom = DEGREES_OF_FREEDOM + 4
     return freedom / (DEGREES_OF_FREEDOM + surprise), float(0.5 * freedom * np.log1p(surprise / DEGREES_OF_FREEDOM))
@@ -182,7 +183,7 @@ def prior_terms(warp: Array, expected: Array, terms: Terms) -> tuple[float, floa
 
 @lean_kernel
 def log_odds(
-    pair: FramePair, warp: Array, information: Array, expected: Array, terms: Terms, sums: Array, work: Workspace
+    pair: FramePair, warp: Warp, information: Array, expected: Warp, terms: Terms, sums: Array, work: Workspace
 ) -> float:
     """Return the log odds of a warp against competing ones along its weakest direction, nats; at most 700.
 
@@ -190,8 +191,8 @@ def log_odds(
     ----------
     pair, sums
         As in :func:`log_ratio`.
-    warp, information : numpy.ndarray
-        (4,) registered warp in pixels of full resolution, and its (4, 4) information.
+    warp, information : Warp, numpy.ndarray
+        Registered warp in pixels of full resolution, and its (4, 4) information.
     expected, terms
         As in :func:`prior_terms`.
     work : Workspace
@@ -200,32 +201,25 @@ def log_odds(
     _, down, across, a_follows, s_follows = weakest_direction(information)
     if down == 0.0 and across == 0.0:
         return 0.0
-    equations = work.equations
-    held, scratch, rival, start, full = equations[3], equations[4], equations[5, 0], equations[5, 1], equations[5, 2]
-    half = equations[6, 0]
-    in_pixels_of(2.0, (warp[0], warp[1], warp[2], warp[3]), half)
+    held, slope, half = work.stiffness, terms[1], in_pixels_of(2.0, warp)
     prior = prior_terms(warp, expected, terms)[1]
     against = 0.0
     # one competitor stands for all shifts that the prior allows
     alike = max(1.0, 1 / (terms[2] * COMPETITORS_PX[0] ** 2))
     for px in COMPETITORS_PX:
-        b, d = warp[1] + px * down, warp[3] + px * across
-        full[0], full[1] = warp[0] + px * a_follows, b
-        full[2], full[3] = warp[2] + px * s_follows, d
+        b, d = warp.b + px * down, warp.d + px * across
+        full = Warp(warp.a + px * a_follows, b, warp.s + px * s_follows, d)
         write_prior(2.0, terms, prior_terms(full, expected, terms)[0], held)
         # the prior's centre for this shift, at which it is held
-        slope = terms[1]
-        in_pixels_of(
-            2.0, (expected[0] + slope * (b - expected[1]), b, expected[2] + slope * (d - expected[3]), d), start
-        )
+        centre = Warp(expected.a + slope * (b - expected.b), b, expected.s + slope * (d - expected.d), d)
         held[1, 1] += 4 * _HELD * down * down
         held[1, 3] += 4 * _HELD * down * across
         held[3, 1] += 4 * _HELD * down * across
         held[3, 3] += 4 * _HELD * across * across
-        in_pixels_of(2.0, (full[0], full[1], full[2], full[3]), rival)
+        rival, correlated_px = in_pixels_of(2.0, full), CORRELATED_PX / 4 / _FIT.row_step
         work.tone[0], work.tone[1] = tone_between(pair, rival, _FIT.tone_step)
-        align(pair, _FIT, start, held, CORRELATED_PX / 4 / _FIT.row_step, rival, scratch, work)
-        in_pixels_of(0.5, (rival[0], rival[1], rival[2], rival[3]), full)
+        rival = align(pair, _FIT, in_pixels_of(2.0, centre), held, correlated_px, rival, work.schur, work)[2]
+        full = in_pixels_of(0.5, rival)
         less = log_ratio(pair, half, rival, sums)
         less += prior_terms(full, expected, terms)[1] - prior
         against += alike * np.exp(-min(max(less, -700.0), 700.0))
@@ -233,19 +227,17 @@ def log_odds(
 
 
 @lean_kernel
-def in_pixels_of(px: float, warp: tuple[float, ...], out: Array) -> None:
-    """Write a warp in pixels of another size.
+def in_pixels_of(px: float, warp: Warp) -> Warp:
+    """Return a warp in pixels of another size.
 
     Parameters
     ----------
     px : float
         Size of the other pixels, in present ones.
-    warp : tuple of float
-        a, b, s, d.
-    out : numpy.ndarray
-        (4,) float64, filled.
+    warp : Warp
+        In present ones.
     """
-    out[0], out[1], out[2], out[3] = warp[0], warp[1] / px, warp[2], warp[3] / px
+    return Warp(warp.a, warp.b / px, warp.s, warp.d / px)
 
 
 @lean_kernel

@@ -147,19 +147,18 @@ def register(
     """
     fill_levels(earlier, tools.pyramid)
     fill_levels(later, tools.pyramid)
-    terms = terms_of(prior.covariance, prior.line_periods_per_frame)
-    warp, expected = found[:PARAMETERS], tools.work.equations[6, 1]
-    in_pixels_of(1.0, expected_warp(prior), expected)
-    if as_expected:
-        in_pixels_of(1.0, expected_warp(prior), warp)
+    terms, expected = terms_of(prior.covariance, prior.line_periods_per_frame), expected_warp(prior)
+    warp = expected if as_expected else Warp(found[0], found[1], found[2], found[3])
     begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
     first, end = _TO_HALF
     stages = first + 1 if begins_at_half else first, end
-    correlation, count = descend(earlier.images, later.images, stages, False, expected, terms, warp, information, tools)
+    correlation, count, warp = descend(
+        earlier.images, later.images, stages, False, expected, terms, warp, information, tools
+    )
     odds = -np.inf
     if correlation > 0 and 2 * weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
-        correlation, count = descend(
+        correlation, count, warp = descend(
             earlier.images, later.images, _SHARP, True, expected, terms, warp, information, tools
         )
         odds = _odds_against_unrelated(correlation, count)
@@ -168,7 +167,7 @@ def register(
         high_pass(earlier, tools.pyramid)
         high_pass(later, tools.pyramid)
         (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
-        correlation, count = descend(
+        correlation, count, warp = descend(
             (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), _UNSHARP, False,
             expected, terms, warp, information, tools,
         )  # fmt: skip
@@ -176,10 +175,11 @@ def register(
             pair = pair_at(1, 1, earlier.images, later.images, tools)
             odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
             odds = min(odds, _odds_against_unrelated(correlation, count))
-    velocity, variance, of_stretch, of_shift = velocity_given(prior, Warp(warp[0], warp[1], warp[2], warp[3]))
+    velocity, variance, of_stretch, of_shift = velocity_given(prior, warp)
+    found[0], found[1], found[2], found[3] = warp
     found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
     found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
-    found[9] = overlap_of_discs(np.hypot(warp[1], warp[3]) / tools.diameter)
+    found[9] = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
 
 
 @lean_kernel
@@ -191,11 +191,14 @@ def _odds_against_unrelated(correlation: float, count: float) -> float:
 @lean_kernel
 def _variance_along(information: Array, of_stretch: float, of_shift: float, work: Workspace) -> float:
     """Return the variance of a sum of stretch and row shift, so weighted, or of shear and column shift if larger."""
-    along, largest = work.equations[1, 0, :PARAMETERS], 0.0
+    along, largest = work.right[:PARAMETERS], 0.0
     for k in (0, 2):
         along[:] = 0.0
         along[k], along[k + 1] = of_stretch, of_shift
-        if not solve(information, along, work.equations[2]):
+        for i in range(PARAMETERS):
+            for j in range(PARAMETERS):
+                work.normal[i, j] = information[i, j]
+        if not solve(work.normal, along, 0, work.schur):
             return np.inf
         largest = max(largest, of_stretch * along[k] + of_shift * along[k + 1])
     return largest
@@ -203,10 +206,10 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
 
 @lean_kernel
 def descend(
-    earlier: Images, later: Images, stages: tuple[int, int], without_rim: bool, expected: Array, terms: Terms,
-    warp: Array, information: Array, tools: Tools,
-) -> tuple[float, float]:  # fmt: skip
-    """Refine a warp in place by some stages of the pyramid.
+    earlier: Images, later: Images, stages: tuple[int, int], without_rim: bool, expected: Warp, terms: Terms,
+    warp: Warp, information: Array, tools: Tools,
+) -> tuple[float, float, Warp]:  # fmt: skip
+    """Refine a warp by some stages of the pyramid.
 
     Parameters
     ----------
@@ -216,12 +219,12 @@ def descend(
         The first of them, and the one after the last.
     without_rim : bool
         Leave out the rim at full resolution.
-    expected : numpy.ndarray
-        (4,) float64: a, b, s, d that the motion prior expects, pixels of full resolution.
+    expected : Warp
+        That the motion prior expects, pixels of full resolution.
     terms : tuple of float
         :attr:`~.motion_prior.MotionPrior.terms`.
-    warp : numpy.ndarray
-        (4,) float64: where to start, and the result, pixels of full resolution.
+    warp : Warp
+        Where to start, pixels of full resolution.
     information : numpy.ndarray
         (4, 4) float64: inverse covariance of the result, the prior of stretch and shear included.
     tools : Tools
@@ -233,24 +236,24 @@ def descend(
         Zero-mean normalised correlation of the overlap; 0 where there is none.
     float
         Pixels of the overlap.
+    Warp
+        The result, pixels of full resolution.
     """
-    work, equations = tools.work, tools.work.equations
-    stiff, centre, scaled = equations[3], equations[5, 0], equations[5, 1]
+    work, stiffness = tools.work, tools.work.stiffness
     correlation, count, begun = 0.0, 0.0, LEVELS
     for stage in range(*stages):
         level, how = _STAGES[stage]
         px = 2.0**level
-        write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiff)
-        in_pixels_of(px, (expected[0], expected[1], expected[2], expected[3]), centre)
-        in_pixels_of(px, (warp[0], warp[1], warp[2], warp[3]), scaled)
+        write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiffness)
+        centre, scaled = in_pixels_of(px, expected), in_pixels_of(px, warp)
         pair = pair_at(level, LEVELS if without_rim else level, earlier, later, tools)
         if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
             work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
         begun = level
         correlated_px = CORRELATED_PX / how.row_step / 4**level
-        correlation, count = align(pair, how, centre, stiff, correlated_px, scaled, information, work)
+        correlation, count, scaled = align(pair, how, centre, stiffness, correlated_px, scaled, information, work)
         if correlation == 0.0:
             break
         count *= how.row_step * 4.0**level
-        in_pixels_of(1 / px, (scaled[0], scaled[1], scaled[2], scaled[3]), warp)
-    return correlation, count
+        warp = in_pixels_of(1 / px, scaled)
+    return correlation, count, warp

@@ -15,8 +15,14 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, add_row, tone_between
-from napari_elsplus.processing.tracking.registration.odds import prior_terms, write_prior
+from napari_elsplus.processing.tracking.registration.lucas_kanade import (
+    TONE,
+    Iteration,
+    add_row,
+    complete,
+    tone_between,
+)
+from napari_elsplus.processing.tracking.registration.odds import in_pixels_of, prior_terms, write_prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,10 +37,10 @@ EXACT_PX: Final = 0.1
 resolution, the change at half of it."""
 _STEPS: Final = Iteration(1, 6, 0.02, False, 4)
 """How frames are registered at half resolution."""
-_POWERS: Final = 3
-_UNKNOWNS: Final = 2 * _POWERS + 2
-"""Coefficients of a row's shift by its distance from the middle: b, a and J of rows, d, s and J of columns; and with
-gain and offset."""
+_UNKNOWNS: Final = TONE + 6
+"""Gain and offset; then the coefficients of a row's shift by its distance from the middle: a, b and J of rows, s, d and
+J of columns."""
+_OF_WARP, _OF_JERK = TONE + np.array([0, 1, 3, 4]), TONE + np.array([2, 5])
 
 
 def align_unevenly(
@@ -62,38 +68,37 @@ def align_unevenly(
     information : numpy.ndarray
         (4, 4) inverse covariance of a, b, s, d, whatever J is.
     """
-    of_warp, of_jerk = np.array([1, 0, 1 + _POWERS, _POWERS]), np.array([2, 2 + _POWERS])
     in_halves, stiffness = np.array([1.0, 0.5, 1.0, 0.5]), np.empty((4, 4))
-    start, expected = np.array(warp) * in_halves, np.array(motion.warp) * in_halves
-    write_prior(2.0, motion.terms, prior_terms(np.array(warp), np.array(motion.warp), motion.terms)[0], stiffness)
+    start, expected = in_pixels_of(2.0, warp), in_pixels_of(2.0, motion.warp)
+    write_prior(2.0, motion.terms, prior_terms(warp, motion.warp, motion.terms)[0], stiffness)
     prior, normal = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.empty((_UNKNOWNS, _UNKNOWNS))
-    prior[np.ix_(of_warp, of_warp)] = stiffness
-    prior[of_jerk, of_jerk] = 4 / jerk_sigma**2
-    values, mean, right, scratch = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS), np.empty(4)
-    values[of_warp], mean[of_warp] = start, expected
-    values[-2:] = mean[-2:] = tone_between(pair, start, _STEPS.tone_step)
+    prior[np.ix_(_OF_WARP, _OF_WARP)] = stiffness
+    prior[_OF_JERK, _OF_JERK] = 4 / jerk_sigma**2
+    values, mean, right = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS)
+    values[_OF_WARP], mean[_OF_WARP] = start, expected
+    values[:TONE] = mean[:TONE] = tone_between(pair, start, _STEPS.tone_step)
     square = 2 / motion.line_periods_per_frame**2
     for _ in range(_STEPS.steps):
-        noise = correlated_px * _equations(pair, values, square, normal, right, scratch)
+        noise = correlated_px * _equations(pair, values, square, normal, right)
         if not noise > 0:
             return None
         try:
             step = np.linalg.solve(normal / noise + prior, right / noise + prior @ (values - mean))
         except np.linalg.LinAlgError:
             return None
-        if not abs(step[of_warp]).max() < len(pair.template) / 4:
+        if not abs(step[_OF_WARP]).max() < len(pair.template) / 4:
             return None
-        step[-2:] *= -1  # residuals grow with the shift and lessen with gain and offset
+        step[:TONE] *= -1  # residuals grow with the shift and lessen with gain and offset
         values -= step
-        if hypot(step[0], step[_POWERS]) < _STEPS.tolerance_px:
+        if hypot(*step[_OF_WARP[1::2]]) < _STEPS.tolerance_px:
             break
-    covariance = np.linalg.inv(normal / noise + prior)[np.ix_(of_warp, of_warp)] / np.outer(in_halves, in_halves)
-    return Warp(*(values[of_warp] / in_halves).tolist()), np.linalg.inv(covariance)
+    covariance = np.linalg.inv(normal / noise + prior)[np.ix_(_OF_WARP, _OF_WARP)] / np.outer(in_halves, in_halves)
+    return Warp(*(values[_OF_WARP] / in_halves).tolist()), np.linalg.inv(covariance)
 
 
 @lean_kernel
-def _equations(pair: FramePair, values: Array, square: float, normal: Array, right: Array, warp: Array) -> float:
-    """Fill the normal equations of b, a, J, d, s, J, gain and offset; return the variance of the noise.
+def _equations(pair: FramePair, values: Array, square: float, normal: Array, right: Array) -> float:
+    """Fill the normal equations of gain, offset, a, b, J, s, d and J; return the variance of the noise.
 
     Parameters
     ----------
@@ -105,31 +110,23 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         Shift of a row by J = 1 over the square of its distance from the middle.
     normal, right : numpy.ndarray
         (8, 8) and (8,), filled.
-    warp : numpy.ndarray
-        (4,) scratch.
     """
     normal[:] = 0.0
     right[:] = 0.0
-    tone, steep, noise = values[6:], 0.0, 0.0
+    a, b, jerk_down, s, d, jerk_aside = values[2], values[3], values[4], values[5], values[6], values[7]
+    steep, noise = 0.0, 0.0
     for row in range(1, len(pair.template) - 1):
         y = row - pair.middle
         bend = square * y * y
-        warp[0], warp[1] = values[1], values[0] + bend * values[2]
-        warp[2], warp[3] = values[4], values[3] + bend * values[5]
+        warp = Warp(a, b + bend * jerk_down, s, d + bend * jerk_aside)
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
         corners = neighbours(pair.image, above, begin + whole, end - begin)
         _, _, _, gradients, weighted = add_row(
-            pair.template, row, (begin, end), corners, bilinear(down, across), tone, (1.0, y, bend), normal, right
+            pair.template, row, (begin, end), corners, bilinear(down, across), values, (y, 1.0, bend), normal, right
         )
         steep += gradients
         noise += weighted
-    for i in range(2 * _POWERS):
-        right[i] *= tone[0]
-        for k in range(_UNKNOWNS):
-            normal[i, k] *= tone[0] ** 2 if k < 2 * _POWERS else tone[0]
-    for i in range(_UNKNOWNS):
-        for k in range(i):
-            normal[i, k] = normal[k, i]
+    complete(normal, right, values[0])
     return noise / steep if steep > 0 else 0.0
