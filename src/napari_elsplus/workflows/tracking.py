@@ -20,13 +20,14 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
@@ -271,7 +272,7 @@ class Pipeline:
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+        progress: ProgressWrapper = iter,
     ) -> None:
         """Refine all positions (:meth:`refine`), insert all frames into fresh mosaics, and undo deformation.
 

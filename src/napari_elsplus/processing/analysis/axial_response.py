@@ -22,13 +22,12 @@ from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding
 from napari_elsplus.processing.images.sectioning import Sectioner
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.analysis.bleaching import LightLoss
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     Curve = NDArray[np.float64]
 
@@ -181,7 +180,7 @@ def axial_profiles(
     frames: Frames,
     calibration: Calibration,
     *,
-    progress: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+    progress: ProgressWrapper = iter,
 ) -> AxialProfiles:
     """Return the mean LS and residual signal of the central square in each frame.
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.finished.field import FinishedField
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.motion.pose import Pose
@@ -132,7 +133,7 @@ class CorePipeline(Pipeline):
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+        progress: ProgressWrapper = iter,
     ) -> None:
         """Refine all positions, insert all frames at them and reconstruct the mosaics: :meth:`Pipeline.finish`.
 
