@@ -151,7 +151,7 @@ def map_galvo(
         lines.append(line)
         if collector is None or line is None or number % every:
             continue
-        if line.columns[1] - line.columns[0] <= max_chord_px:
+        if line.length_px <= max_chord_px:
             row = line.row - line.bow * line.mean_square_px
             collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)

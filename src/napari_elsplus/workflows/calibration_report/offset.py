@@ -74,7 +74,7 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
     slit_rows = setup.acquired_with.slit_rows_or_default
     line = _line(found, draft, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
-    bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
+    bundle_um = draft.bundle_um or found.confocal.length_px * scale
     given = predict_performance(
         found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=bundle_um
     )
