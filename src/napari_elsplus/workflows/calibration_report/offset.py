@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB
 from napari_elsplus.simulation.model.axial_response import axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
@@ -102,7 +103,8 @@ def _sectioning_against_offset(found: SlitOffset, draft: Draft, setup: Setup, sc
     line, present_um = _line(found, draft, slit_rows, scale), abs(found.rows) * scale
     offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
     els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
-    distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in (0.5, 0.1)]
+    levels = LEVEL_3DB, LEVEL_10DB
+    distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in levels]
     curves = [
         Curve("signal kept (%)", offsets, 100 * els[:, 0], "blue"),
         Curve("3 dB (µm)", offsets, np.array(distances[0]), "orange", "dashed"),

@@ -120,10 +120,9 @@ class CorePipeline(Pipeline):
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
         """Track a raw frame and insert its cores; parameters as of :meth:`Pipeline.add`."""
-        pose, _ = self.locate(raw, raw_residual)
-        self._note(pose, frame, time_s)
-        self.insert_raw(pose, raw, raw_residual)
-        return self.rows[-1]
+        row = self.track(raw, frame, time_s, raw_residual)
+        self.insert_raw(self.poses[-1], raw, raw_residual)
+        return row
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert the cores of a raw frame at a pose; others as of :meth:`Pipeline.add`."""
