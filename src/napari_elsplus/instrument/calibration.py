@@ -356,6 +356,16 @@ class Calibration(Section):
         """Bundle views; a `CalibrationError` if they were not measured."""
         return self._measured("bundle", self.bundle)
 
+    @property
+    def measured_um_per_px(self) -> float:
+        """Micrometres at the bundle per camera pixel; a `CalibrationError` if unknown."""
+        self.require("optics")
+        if self.um_per_px is None:
+            raise CalibrationError(
+                "the calibration has no um_per_px", "give it with `calibrate --um-per-px` or --bundle-um"
+            )
+        return self.um_per_px
+
     def _measured(self, name: str, section: MeasuredSection | None) -> MeasuredSection:
         self.require(name)
         assert section is not None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
 from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, means_at_depths
 from napari_elsplus.processing.analysis.falling_curve import DropOff as DropOff
@@ -205,11 +205,7 @@ def axial_profiles(
     MeasurementError
         If the square does not fit into the bundle.
     """
-    bundle = calibration.measured_bundle
-    calibration.require("optics")
-    um_per_px = calibration.um_per_px
-    if um_per_px is None:
-        raise CalibrationError("the calibration has no um_per_px", "give it with `calibrate --um-per-px`")
+    bundle, um_per_px = calibration.measured_bundle, calibration.measured_um_per_px
     if not len(frames):
         raise InputError("the scan holds no frame", "record one at each depth")
     diameter_um = bundle.diameter_px * um_per_px
