@@ -292,10 +292,10 @@ def axial_response(
     contact = _peak(of_ls.mean)
     gain = float(np.average(gains, weights=weight))
     ls_zero_dn, residual_zero_dn = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
-    together_dn = systematic.gain * of_residual.mean[contact:]
-    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(together_dn))
+    correlated_dn = systematic.gain * of_residual.mean[contact:]
+    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(correlated_dn))
     els_zero_dn = float(np.hypot(ls_zero_dn, residual_zero_dn))
-    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, together_dn)
+    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, correlated_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -317,7 +317,7 @@ def axial_response(
         els_10db=els_fall.drop(LEVEL_10DB),
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
-            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, together_dn[0]]) / ls_fall.contact
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
     )
