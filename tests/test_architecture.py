@@ -22,6 +22,7 @@ ORDER = (
     "instrument",
     "processing.compilation",
     "processing.compiled",
+    "processing.progress",
     "processing.vectors",
     "processing.images",
     "processing.analysis",

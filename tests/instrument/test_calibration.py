@@ -9,6 +9,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import VERSION, AcquiredWith, Calibration, FrameSection
+from napari_elsplus.instrument.staleness import stale_sections
 
 RECORD: dict[str, Any] = {
     "format": "napari-elsplus/calibration",
@@ -84,11 +85,16 @@ def test_broken_records_give_one_clear_line(record: object, word: str) -> None:
 
 def test_what_went_stale_is_said_with_the_reason() -> None:
     calibration = Calibration.parse(RECORD)
-    assert calibration.stale_sections(AcquiredWith(objective="10x", slit_rows=3)) == {}
-    stale = calibration.stale_sections(AcquiredWith(objective="4x"))
+    assert stale_sections(calibration, AcquiredWith(objective="10x", slit_rows=3)) == {}
+    stale = stale_sections(calibration, AcquiredWith(objective="4x"))
     assert set(stale) == {"offset", "galvo", "bundle", "optics"}
     assert stale["galvo"] == "objective changed from 10x to 4x"
-    assert "bundle" in calibration.stale_sections(AcquiredWith(), FrameSection(shape=(100, 100)))
+    assert "bundle" in stale_sections(calibration, AcquiredWith(), FrameSection(shape=(100, 100)))
+
+
+def test_sections_that_were_not_measured_are_not_stale() -> None:
+    from_files = Calibration.parse({name: RECORD[name] for name in ("frame", "bundle")})
+    assert set(stale_sections(from_files, AcquiredWith(), FrameSection(shape=(100, 100)))) == {"bundle"}
 
 
 def test_rows_and_volts_are_inverse() -> None:

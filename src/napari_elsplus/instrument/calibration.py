@@ -76,27 +76,6 @@ class AcquiredWith(Section):
         return self.slit_rows or DEFAULT_SLIT_ROWS
 
 
-_SETTING_WORDS: Final = {
-    "slit_rows": ("slit", " rows"),
-    "frame_rate_hz": ("frame rate", " Hz"),
-    "gain_db": ("gain", " dB"),
-}
-"""Name and unit of the numbers of :class:`AcquiredWith`."""
-
-
-def changed_setting(name: str, then: Any, now: Any) -> str:
-    """Return the change of a setting of :class:`AcquiredWith` in words.
-
-    Examples
-    --------
-    >>> changed_setting("slit_rows", 3.0, 60.0), changed_setting("objective", "10x", "20x")
-    ('slit changed from 3 to 60 rows', 'objective changed from 10x to 20x')
-    """
-    words, unit = _SETTING_WORDS.get(name, (name, ""))
-    before, after = (f"{value:g}" if isinstance(value, int | float) else str(value) for value in (then, now))
-    return f"{words} changed from {before} to {after}{unit}"
-
-
 class OffsetSection(Section):
     """Slit offset: row of a standing line in the residual view minus its row in the confocal view, camera rows.
 
@@ -377,6 +356,16 @@ class Calibration(Section):
         """Bundle views; a `CalibrationError` if they were not measured."""
         return self._measured("bundle", self.bundle)
 
+    @property
+    def measured_um_per_px(self) -> float:
+        """Micrometres at the bundle per camera pixel; a `CalibrationError` if unknown."""
+        self.require("optics")
+        if self.um_per_px is None:
+            raise CalibrationError(
+                "the calibration has no um_per_px", "give it with `calibrate --um-per-px` or --bundle-um"
+            )
+        return self.um_per_px
+
     def _measured(self, name: str, section: MeasuredSection | None) -> MeasuredSection:
         self.require(name)
         assert section is not None
@@ -389,36 +378,3 @@ class Calibration(Section):
     def with_optics(self, **changes: float | None) -> Calibration:
         """Return the calibration with other values of the optics section, which is added if there is none."""
         return self.model_copy(update={"optics": (self.optics or OpticsSection()).model_copy(update=changes)})
-
-    def stale_sections(self, settings: AcquiredWith, frame: FrameSection | None = None) -> dict[str, str]:
-        """Return the sections that no longer hold when the rig runs with other settings.
-
-        Parameters
-        ----------
-        settings : AcquiredWith
-            Current settings of the rig; None in a field: not compared.
-        frame : FrameSection, optional
-            Current recorded region.
-
-        Returns
-        -------
-        dict of str to str
-            Reason by the name of the section, `background` or `scan_correction`.
-        """
-        stale: dict[str, str] = {}
-        if frame is not None and self.frame is not None and frame.shape != self.frame.shape:
-            reason = f"frame {self.frame.shape} became {frame.shape}"
-            stale |= dict.fromkeys(("offset", "galvo", "bundle", "background", "scan_correction"), reason)
-        if self.acquired_with is None:
-            return stale
-        affected = {
-            "objective": ("offset", "galvo", "bundle", "optics", "background", "scan_correction"),
-            "slit_rows": ("background",),
-            "gain_db": ("background",),
-            "frame_rate_hz": ("optics", "scan_correction"),
-        }
-        for name, sections in affected.items():
-            then, now = getattr(self.acquired_with, name), getattr(settings, name)
-            if then is not None and now is not None and then != now:
-                stale |= dict.fromkeys(sections, changed_setting(name, then, now))
-        return {name: reason for name, reason in stale.items() if getattr(self, name) is not None}

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from napari_elsplus.io.recorder import RecordingWriter as RecordingWriter
     from napari_elsplus.io.recordings import Recording as Recording
     from napari_elsplus.io.recordings import open_recording as open_recording
+    from napari_elsplus.io.text import write_json as write_json
     from napari_elsplus.io.track_table import TrackTable as TrackTable
     from napari_elsplus.io.tracks import TrackPoint as TrackPoint
     from napari_elsplus.io.tracks import read_track as read_track
@@ -52,6 +53,7 @@ _MODULES = {
     "formats.source": ("FrameSource",),
     "recorder": ("RecordingWriter",),
     "recordings": ("Recording", "open_recording"),
+    "text": ("write_json",),
     "track_table": ("TrackTable",),
     "tracks": ("TrackPoint", "read_track", "write_track"),
 }

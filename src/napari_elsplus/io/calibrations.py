@@ -31,7 +31,7 @@ _HEADER_READERS: Final = {
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration, with its background, flat field, distortion and gain map where they lie beside it.
+    """Read a calibration, with its arrays (background, flat field, ...) where they lie beside it.
 
     Parameters
     ----------

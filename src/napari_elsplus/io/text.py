@@ -1,12 +1,15 @@
-"""Lines of text files that a user names, with one message for each reason why they cannot be read."""
+"""Text files: lines of those that a user names, and results in JSON."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import replacing
 
 if TYPE_CHECKING:
+    import os
     from pathlib import Path
 
 
@@ -38,3 +41,30 @@ def read_lines(path: Path, remedy: str, max_bytes: int | None = None) -> list[st
         raise InputError(f"{path.name} is no text", remedy) from None
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
+
+
+def write_json(
+    path: str | os.PathLike[str],
+    content: Any,
+    *,
+    indent: int | None = None,
+    allow_nan: bool = True,
+    force: bool = False,
+) -> None:
+    """Write content fit for JSON to a file, beside it first.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    content : object
+        Numbers, strings, lists and dicts.
+    indent : int, optional
+        Spaces for each level; one line by default.
+    allow_nan : bool
+        Write NaN as Python reads it; otherwise raise a ValueError.
+    force : bool
+        Replace an existing file instead of refusing it.
+    """
+    with replacing(path, force=force) as beside:
+        beside.write_text(json.dumps(content, indent=indent, allow_nan=allow_nan) + "\n", encoding="utf-8")

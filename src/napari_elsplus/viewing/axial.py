@@ -26,12 +26,13 @@ from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import Stack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 MANUAL_SCAN: Final = "manual"
 """Beginning of the name of a manual scan."""
@@ -137,7 +138,7 @@ def measure_scan(
     stack: Stack,
     calibration: Calibration,
     *,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: ProgressWrapper = iter,
 ) -> Scan:
     """Measure the axial response of a stack of depths.
 

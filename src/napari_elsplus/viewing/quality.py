@@ -24,12 +24,13 @@ from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import um_per_px_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.viewing.stack import Stack
 
     Box = tuple[float, float, float, float]
@@ -158,9 +159,7 @@ def measure_resolution(image: NDArray[np.floating], boxes_px: Sequence[Box], um_
     return Resolution(elements, finest_um)
 
 
-def measure_edge(
-    stack: Stack, calibration: Calibration, progress: Callable[[Sequence[int]], Iterable[int]] = iter
-) -> EdgeMap:
+def measure_edge(stack: Stack, calibration: Calibration, progress: ProgressWrapper = iter) -> EdgeMap:
     """Average the residual images of a recording, which are dark where the line has left the bundle.
 
     Parameters

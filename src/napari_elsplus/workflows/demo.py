@@ -5,7 +5,6 @@ It tests an installation within a minute.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
@@ -18,8 +17,8 @@ from napari_elsplus.io import (
     RecordingWriter,
     open_recording,
     refuse_existing,
-    replacing,
     write_calibration,
+    write_json,
     write_mosaic,
     write_stack,
     write_track,
@@ -143,8 +142,7 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
         "tracking": {mode.value: asdict(errors) for mode, errors in tracks.items()},
         "seconds": round(perf_counter() - started, 1),
     }
-    with replacing(folder / "report.json", force=force) as unfinished:
-        unfinished.write_text(json.dumps(report, indent=2), encoding="utf-8")
+    write_json(folder / "report.json", report, indent=2, force=force)
     return report
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,9 +17,9 @@ from napari_elsplus.io import (
     ImageMetadata,
     beside,
     refuse_existing,
-    replacing,
     write_calibration,
     write_column,
+    write_json,
     write_stack,
 )
 from napari_elsplus.simulation import calibration_scenes, truth
@@ -89,7 +88,7 @@ class SimulatedRecording(RenderedFrames):
         axes = "ZYX" if scanned else "TYX"
         write_stack(output, frames, ImageMetadata(calibration=self.calibration), force=force, axes=axes)
         write_calibration(record, self.calibration, force=force)
-        _write_json(facts, self.truth, force=force)
+        write_json(facts, self.truth, allow_nan=False, force=force)
         if self.depth_um is not None:
             write_column(depths, "depth_um", self.depth_um, force=force)
 
@@ -251,7 +250,7 @@ class SimulatedCalibrationFrames:
             shown = (frames[index] for index in progress(range(len(frames)), part))
             write_stack(folder / f"{part}.tif", shown, ImageMetadata(um_per_px=self.um_per_px), force=force)
         write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
-        _write_json(folder / "truth.json", self.truth, force=force)
+        write_json(folder / "truth.json", self.truth, allow_nan=False, force=force)
 
 
 def simulate_calibration(
@@ -308,11 +307,6 @@ def _simulated(
 ) -> SimulatedRecording:
     calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument))
     return SimulatedRecording(render, count, calibration, {**truth.geometry(instrument), **facts}, depth_um)
-
-
-def _write_json(path: Path, content: dict[str, Any], *, force: bool) -> None:
-    with replacing(path, force=force) as target:
-        target.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _scene(name: str, seed: int, um_per_px: float | None, camera_um_per_px: float) -> Scene:

@@ -20,13 +20,14 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
@@ -98,9 +99,8 @@ class Pipeline:
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
         self._tapers_rim = registered.tapers_rim
         if self._tapers_rim:
-            subtracts = Mode(mode) in (Mode.ELS, Mode.ELSA) and calibration.offset is not None
-            away = calibration.offset.rows / self.grid.binning if subtracts and calibration.offset else 0.0
-            self._weights = rim_weights(self.grid, away)
+            offset = calibration.offset if Mode(mode) in (Mode.ELS, Mode.ELSA) else None
+            self._weights = rim_weights(self.grid, 0.0 if offset is None else offset.rows / self.grid.binning)
         self.rows: list[TrackPoint] = []
         self.poses: list[Pose] = []
         self.mosaics: dict[int, TiledCanvas] = {}
@@ -154,7 +154,7 @@ class Pipeline:
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
         """Do what :meth:`add` does without inserting; :meth:`finish` makes the mosaics."""
-        pose, _ = self._tracking.track(raw, raw if raw_residual is None else raw_residual)
+        pose, _ = self.locate(raw, raw_residual)
         self._note(pose, frame, time_s)
         return self.rows[-1]
 
@@ -271,7 +271,7 @@ class Pipeline:
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+        progress: ProgressWrapper = iter,
     ) -> None:
         """Refine all positions (:meth:`refine`), insert all frames into fresh mosaics, and undo deformation.
 

@@ -9,7 +9,13 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.slit_offset import SEARCH_INTERVAL_FRAMES, OffsetFollower, measure_offset
+from napari_elsplus.processing.calibration.line.location import locate_line
+from napari_elsplus.processing.calibration.slit_offset import (
+    SEARCH_INTERVAL_FRAMES,
+    OffsetFollower,
+    measure_offset,
+    parts_of,
+)
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
 
@@ -46,3 +52,10 @@ def test_a_reflection_is_not_followed_for_ever() -> None:
     rows = [follower.measure(both).confocal.row_at(RIG.left[1]) for _ in range(SEARCH_INTERVAL_FRAMES + 1)]
     assert rows[0] == pytest.approx(RIG.left[0] - 30, abs=0.3)
     assert rows[-1] == pytest.approx(RIG.left[0] + 30, abs=0.3)
+
+
+def test_a_line_whose_core_and_halo_are_fitted_as_one_has_no_halo() -> None:
+    """The next step went to widths of e to the power of 211, which ended the calibration in a LinAlgError."""
+    rig = Rig.draw(295)
+    seen = np.mean(rig.line(row=1.3), axis=0)[:, :276] - rig.black_dn
+    assert parts_of(locate_line(seen), seen) is None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.engine.engine import Engine
-    from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 SETTLED_S: Final = 2e-3
 """Chosen: twice the period of a galvo of 1 kHz."""

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
-    from napari_elsplus.processing.calibration.step import CalibrationStep, ProgressWrapper, Target
+    from napari_elsplus.processing.calibration.step import CalibrationStep, Target
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     StepProgress = Callable[[str], ProgressWrapper]
 

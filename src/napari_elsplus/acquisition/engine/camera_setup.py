@@ -13,6 +13,7 @@ from napari_elsplus.hardware.protocols import Region
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
 from napari_elsplus.instrument.optics import preset
+from napari_elsplus.instrument.staleness import stale_sections
 
 if TYPE_CHECKING:
     from napari_elsplus.hardware.protocols import Camera
@@ -180,7 +181,7 @@ class CameraSetup:
         """Return the sections of a calibration that are stale with these settings, with the reason."""
         if calibration is None or not self.configured:
             return {}
-        return calibration.stale_sections(self.acquired_with, self.frame)
+        return stale_sections(calibration, self.acquired_with, self.frame)
 
     def _default_rate_hz(self, region: Region, settings: Settings, preset_hz: float) -> float:
         """Return the preset's rate, or the highest that camera and bus allow, with a notice."""

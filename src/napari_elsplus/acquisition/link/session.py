@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
-    from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 
 class Session:

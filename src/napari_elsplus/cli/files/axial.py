@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -28,7 +27,7 @@ def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
-    from napari_elsplus.io import open_recording, read_calibration, read_depths_um, replacing
+    from napari_elsplus.io import open_recording, read_calibration, read_depths_um, write_json
     from napari_elsplus.workflows.axial import measure_axial_response
 
     refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths))
@@ -40,8 +39,7 @@ def command(
         known = None if calibration is None else read_calibration(calibration)
         depth_um = None if depths is None else read_depths_um(depths)
         response = measure_axial_response(recording, known, depth_um, progress=progress)
-    with replacing(output, force=force) as path:
-        path.write_text(json.dumps(response.content(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(output, response.content(), indent=1, allow_nan=False, force=force)
     if plot is not None:
         from napari_elsplus.workflows.pictures.axial import draw_axial_response
         from napari_elsplus.workflows.pictures.files import save_figure

@@ -28,7 +28,7 @@ def command(
     depth_um: float, keep: float, calibration: Path, plate: Path | None, output: Path | None, force: bool
 ) -> None:
     """Recommend slit and offset that suppress haze from a depth and keep enough of the signal."""
-    from napari_elsplus.io import read_calibration, replacing
+    from napari_elsplus.io import read_calibration, write_json
     from napari_elsplus.workflows.recommendation.recommend import recommend
 
     refuse_outputs(output, force=force, inputs=(calibration, plate))
@@ -43,8 +43,7 @@ def command(
     found = recommend(read_calibration(calibration), depth_um, keep, measured)
     content, sigmas = found.content(), found.sigmas
     if output is not None:
-        with replacing(output, force=force) as path:
-            path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(output, content, indent=1, allow_nan=False, force=force)
     click.echo(f"slit {found.slit_rows:g} rows, offset {found.offset_rows:.1f} +- {sigmas['offset_rows']:.1f} rows")
     for words, name, unit, factor in (
         ("signal kept", "signal_kept", "%", 100.0),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -63,7 +62,7 @@ def command(
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.session import live_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-    from napari_elsplus.io import beside, read_calibration, replacing
+    from napari_elsplus.io import beside, read_calibration, write_json
     from napari_elsplus.io.formats.registry import format_to_write
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
@@ -96,8 +95,7 @@ def command(
             engine.stop()
             engine.finish_recording()
             status = engine.status()
-            with replacing(report, force=force) as unfinished:
-                unfinished.write_text(json.dumps(status.report(), indent=1) + "\n", encoding="utf-8")
+            write_json(report, status.report(), indent=1, force=force)
         if tracker is not None:
             tracker.settle()
             _write(tracker.pipeline, engine, mosaic, track, force)

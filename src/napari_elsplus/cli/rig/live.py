@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.cli.options import progress
 
 if TYPE_CHECKING:
-    from napari_elsplus.processing.calibration.step import ProgressWrapper
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 
 def calibration_progress(step: str) -> ProgressWrapper:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import click
@@ -24,7 +23,7 @@ def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
     """
     from napari_elsplus.diagnosis.rehearsal.rehearse import faults
     from napari_elsplus.diagnosis.rehearsal.row import heading, line
-    from napari_elsplus.io import replacing
+    from napari_elsplus.io import write_json
 
     refuse_outputs(report, force=force)
     chosen = faults(names)
@@ -35,8 +34,7 @@ def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
         rows.append(row)
         click.echo(click.style(line(row), fg=None if row.held else "red"))
     if report is not None:
-        with replacing(report, force=force) as unfinished:
-            unfinished.write_text(json.dumps([row.content() for row in rows], indent=1) + "\n", encoding="utf-8")
+        write_json(report, [row.content() for row in rows], indent=1, force=force)
     broken = [row for row in rows if not row.held]
     click.echo(f"{len(rows) - len(broken)} of {len(rows)} promises were held")
     if broken:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
+from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.bleaching import light_loss
 from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, means_at_depths
 from napari_elsplus.processing.analysis.falling_curve import DropOff as DropOff
@@ -22,13 +22,12 @@ from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding
 from napari_elsplus.processing.images.sectioning import Sectioner
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.analysis.bleaching import LightLoss
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     Curve = NDArray[np.float64]
 
@@ -181,7 +180,7 @@ def axial_profiles(
     frames: Frames,
     calibration: Calibration,
     *,
-    progress: Callable[[Iterable[int]], Iterable[int]] = lambda numbers: numbers,
+    progress: ProgressWrapper = iter,
 ) -> AxialProfiles:
     """Return the mean LS and residual signal of the central square in each frame.
 
@@ -206,11 +205,7 @@ def axial_profiles(
     MeasurementError
         If the square does not fit into the bundle.
     """
-    bundle = calibration.measured_bundle
-    calibration.require("optics")
-    um_per_px = calibration.um_per_px
-    if um_per_px is None:
-        raise CalibrationError("the calibration has no um_per_px", "give it with `calibrate --um-per-px`")
+    bundle, um_per_px = calibration.measured_bundle, calibration.measured_um_per_px
     if not len(frames):
         raise InputError("the scan holds no frame", "record one at each depth")
     diameter_um = bundle.diameter_px * um_per_px
@@ -297,10 +292,10 @@ def axial_response(
     contact = _peak(of_ls.mean)
     gain = float(np.average(gains, weights=weight))
     ls_zero_dn, residual_zero_dn = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
-    together_dn = systematic.gain * of_residual.mean[contact:]
-    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(together_dn))
+    correlated_dn = systematic.gain * of_residual.mean[contact:]
+    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(correlated_dn))
     els_zero_dn = float(np.hypot(ls_zero_dn, residual_zero_dn))
-    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, together_dn)
+    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, correlated_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -322,7 +317,7 @@ def axial_response(
         els_10db=els_fall.drop(LEVEL_10DB),
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
-            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, together_dn[0]]) / ls_fall.contact
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
     )

@@ -61,12 +61,12 @@ class FallingCurve:
         Mean signal and scatter at each depth, from contact on.
     zero_dn : float
         Standard deviation of the signal's zero.
-    together_dn : numpy.ndarray
+    correlated_dn : numpy.ndarray
         (depths,) fully correlated error of all depths.
     """
 
-    def __init__(self, points: DepthMeans, zero_dn: float, together_dn: Curve) -> None:
-        self._points, self._zero_dn, self._together_dn = points, zero_dn, together_dn
+    def __init__(self, points: DepthMeans, zero_dn: float, correlated_dn: Curve) -> None:
+        self._points, self._zero_dn, self._correlated_dn = points, zero_dn, correlated_dn
         fitted = isotonic_regression(points.mean, increasing=False)
         first, last = fitted.blocks[:-1], fitted.blocks[1:]
         self._monotonic: Curve = fitted.x[first]
@@ -90,12 +90,12 @@ class FallingCurve:
             return DropOff(float("nan"), float("nan"))
         between = self._interpolated(share, below, level)
         crossing = self._fitted(between.at_um, level) or between
-        together = np.interp(crossing.at_um, self._points.depth, self._together_dn) - level * self._together_dn[0]
+        correlated = np.interp(crossing.at_um, self._points.depth, self._correlated_dn) - level * self._correlated_dn[0]
         per_um = level * self.contact * abs(crossing.relative_slope)
         random_um = float(np.sqrt(crossing.variance + self._variance(1.0, self._contact_weight))) * (
             level * self.contact / per_um
         )
-        systematic_um = float(np.hypot((1 - level) * self._zero_dn, together)) / per_um
+        systematic_um = float(np.hypot((1 - level) * self._zero_dn, correlated)) / per_um
         distance_um = float(crossing.at_um - self._points.depth[0])
         return DropOff(distance_um, float(np.hypot(random_um, systematic_um)), random_um)
 

@@ -99,6 +99,24 @@ def estimator_influence(scores: Floats, curvature: Floats, clusters: NDArray[np.
         return np.asarray(np.sqrt(freedom) * (sums @ np.linalg.pinv(curvature)), np.float64)
 
 
+def information_criterion(omitted: Floats, influence: Floats, parameters: int) -> float:
+    """Return the Bayesian information criterion of a model: Wald statistic of what it omits, and its parameters.
+
+    The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
+
+    Parameters
+    ----------
+    omitted : numpy.ndarray
+        Combinations of the parameters of a fuller fit that vanish in the model, (combinations,).
+    influence : numpy.ndarray
+        Contribution of each cluster to their errors, (clusters, combinations).
+    parameters : int
+        Number of the model's parameters.
+    """
+    wald = float(omitted @ np.linalg.pinv(influence.T @ influence) @ omitted) if len(omitted) else 0.0
+    return wald + parameters * float(np.log(len(influence)))
+
+
 def small_sample_factor(free: int) -> float:
     """Return the standard deviation of Student's t: the factor on one that was estimated from few residuals.
 

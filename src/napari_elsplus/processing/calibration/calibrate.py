@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.step import ProgressWrapper
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 MEASURED_FIRST: Final = ("background", "pair")
 """Keys of the steps whose results the other steps use where they are known."""

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.calibration.bundle.location import middle_of_longest_run
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
 
@@ -87,9 +88,7 @@ def column_between_views(frame: Image) -> int:
     start, stop = int(0.3 * len(brightness)), int(0.7 * len(brightness))
     middle = brightness[start:stop]
     low, high = float(middle.min()), float(np.percentile(brightness, 90))
-    dark = np.flatnonzero(middle <= low + 0.15 * max(high - low, 0))
-    runs = np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1)
-    return start + round(float(max(runs, key=len).mean()))
+    return start + middle_of_longest_run(np.flatnonzero(middle <= low + 0.15 * max(high - low, 0)))
 
 
 def unlit_pixels(

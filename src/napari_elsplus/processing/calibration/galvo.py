@@ -184,13 +184,10 @@ def fit_galvo(
     largest = float(np.abs(volts).max(initial=0.0))
     if largest > MAX_VOLTS:
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
-    seen = [
-        (v, line)
-        for v, line in zip(volts, lines, strict=True)
-        if line is not None and line.columns[1] - line.columns[0] <= max_chord_px
-    ]
-    longest = max((line.columns[1] - line.columns[0] for _, line in seen), default=0)
-    whole = [(v, line) for v, line in seen if line.columns[1] - line.columns[0] >= MIN_CHORD * longest]
+    located = ((v, line) for v, line in zip(volts, lines, strict=True) if line is not None)
+    seen = [(v, line) for v, line in located if line.length_px <= max_chord_px]
+    longest = max((line.length_px for _, line in seen), default=0)
+    whole = [(v, line) for v, line in seen if line.length_px >= MIN_CHORD * longest]
     if len(whole) < MIN_LINES:
         raise MeasurementError(
             f"a line is visible in {len(whole)} of {len(lines)} frames, {MIN_LINES} are needed",

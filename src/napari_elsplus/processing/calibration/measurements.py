@@ -31,13 +31,12 @@ from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     Image = NDArray[np.float32]
 
@@ -109,7 +108,7 @@ def map_galvo(
     volts: NDArray[np.floating],
     background: Image | None = None,
     pair: BundlePair | None = None,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: ProgressWrapper = iter,
     offset: SlitOffset | None = None,
 ) -> GalvoMap:
     """Fit the voltage that puts the line onto a row of the confocal view (step ii).
@@ -152,7 +151,7 @@ def map_galvo(
         lines.append(line)
         if collector is None or line is None or number % every:
             continue
-        if line.columns[1] - line.columns[0] <= max_chord_px:
+        if line.length_px <= max_chord_px:
             row = line.row - line.bow * line.mean_square_px
             collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.line_parts import LineParts, measure_line_parts
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.frame_regions import (
     column_between_views,
@@ -18,7 +19,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     saturated_share,
     unlit_pixels,
 )
-from napari_elsplus.processing.calibration.line.location import Line, LineParts, locate_line, parts_of
+from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.warping import polynomial_terms
@@ -137,6 +138,22 @@ def measure_offset(
     unsteady_rows = common_scatter_rows(shifts)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
+
+
+def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
+    """Return core and halo of a line; None where its profile does not show both.
+
+    Parameters
+    ----------
+    line : Line
+        The line, near the middle of the bundle.
+    view : numpy.ndarray
+        (rows, cols) view in which it was located, without its background.
+    """
+    try:
+        return measure_line_parts(view, line.row, line.slope, line.columns, line.width_rows)
+    except MeasurementError:
+        return None
 
 
 def _less(frame: NDArray[Any], background: Image | None) -> Image:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.calibration import changed_setting, utc_now
+from napari_elsplus.instrument.calibration import utc_now
+from napari_elsplus.instrument.staleness import changed_setting, stale_sections
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -18,10 +20,9 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.scan.learned_ramp import Scans
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 T = TypeVar("T")
-ProgressWrapper = Callable[[Iterable[int]], Iterable[int]]
-"""Wraps the numbers of a step's parts, to display its progress or to cancel it."""
 
 
 class Target(StrEnum):
@@ -140,7 +141,7 @@ class CalibrationStep(Generic[T]):
         Name and help of the option of ``calibrate`` that takes recorded frames; none by default.
     settings : tuple of str
         Settings of `AcquiredWith` by whose change the result becomes stale, beyond those of
-        :meth:`~napari_elsplus.instrument.calibration.Calibration.stale_sections`.
+        :func:`~napari_elsplus.instrument.staleness.stale_sections`.
     optional : bool
         Left out when a rig is calibrated as a whole.
     outdates : callable
@@ -264,13 +265,12 @@ def register_step(step: CalibrationStep[T]) -> CalibrationStep[T]:
 
 def _stale_steps(calibration: Calibration, setup: Setup) -> dict[str, str]:
     """Reasons why steps do not hold with a setup, by key."""
-    sections = calibration.stale_sections(setup.acquired_with, setup.frame)
+    sections = stale_sections(calibration, setup.acquired_with, setup.frame)
     stale = {}
     for step in REGISTERED.values():
         for name in step.settings:
-            then, now = getattr(calibration.acquired_with, name, None), getattr(setup.acquired_with, name)
-            if then is not None and now is not None and then != now:
-                stale[step.key] = changed_setting(name, then, now)
+            if change := changed_setting(name, calibration.acquired_with, setup.acquired_with):
+                stale[step.key] = change
         if step.section in sections:
             stale[step.key] = sections[step.section]
     return stale

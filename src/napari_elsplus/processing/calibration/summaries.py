@@ -53,8 +53,7 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
     """Summarize a slit offset: rows and micrometres, tilt, rows at the rim; see :class:`CalibrationStep`."""
     scale, slit_rows = draft.um_per_px or setup.um_per_px, setup.acquired_with.slit_rows_or_default
     line, headline, warnings = offset.confocal, f"{with_uncertainty(offset.rows, offset.uncertainty_rows)} rows", []
-    lit_px = line.columns[1] - line.columns[0]
-    radius_px = (draft.bundle_um / scale if scale and draft.bundle_um else lit_px) / 2
+    radius_px = (draft.bundle_um / scale if scale and draft.bundle_um else line.length_px) / 2
     cost = abs(np.tan(np.radians(line.tilt_deg))) * radius_px
     if scale is not None:
         headline += f"\n{with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)} µm"

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    Slices = tuple[slice, slice]
+
 TILE_PX: Final = 512
 """Rows and columns of a tile; chosen: a frame of 250 pixels falls on at most four, each of 2 MB."""
 
@@ -53,7 +55,7 @@ class Rectangle(NamedTuple):
         """Return the rectangle with a margin on all sides."""
         return Rectangle(self.top - margin, self.left - margin, self.bottom + margin, self.right + margin)
 
-    def slices(self, whole: Rectangle) -> tuple[slice, slice]:
+    def slices(self, whole: Rectangle) -> Slices:
         """Return row and column slices of this rectangle in an array of the whole rectangle, which contains it."""
         return (
             slice(self.top - whole.top, self.bottom - whole.top),
@@ -65,6 +67,13 @@ class Rectangle(NamedTuple):
         for row in range(self.top // TILE_PX, -(-self.bottom // TILE_PX)):
             for col in range(self.left // TILE_PX, -(-self.right // TILE_PX)):
                 yield row, col
+
+    def pieces(self) -> Iterator[tuple[tuple[int, int], Slices, Slices]]:
+        """Yield each tile's key, and what the rectangle shares with it: in an array of the rectangle, in the tile."""
+        for key in self.tiles():
+            at = tile_rectangle(*key)
+            shared = self.intersection(at)
+            yield key, shared.slices(self), shared.slices(at)
 
 
 class Tile(NamedTuple):
@@ -222,11 +231,9 @@ def copy_tiles(store: TileStore, part: Rectangle) -> tuple[NDArray[np.float32], 
     """
     value, weight = np.zeros(part.shape, np.float32), np.zeros(part.shape, np.float32)
     existing = set(store.keys())
-    for key in part.tiles():
+    for key, here, there in part.pieces():
         if key in existing:
-            at, tile = tile_rectangle(*key), store.tile(*key)
-            shared = part.intersection(at)
-            here, there = shared.slices(part), shared.slices(at)
+            tile = store.tile(*key)
             value[here], weight[here] = tile.value[there], tile.weight[there]
     return value, weight
 

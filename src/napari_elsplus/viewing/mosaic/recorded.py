@@ -25,16 +25,15 @@ from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED, sample_field
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
     from napari_elsplus.workflows.tracking import Pipeline
-
-    Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 class StackMosaics:
@@ -127,7 +126,7 @@ class StackMosaics:
         image.update(pipeline.mosaics)
         Coverage(image.frame, self.scale.radius_px).add(np.zeros((1, 2)), np.ones(1))
 
-    def run(self, progress: Progress = iter, checkpoint: Callable[[], None] | None = None) -> None:
+    def run(self, progress: ProgressWrapper = iter, checkpoint: Callable[[], None] | None = None) -> None:
         """Track and insert all frames, then close loops, join segments, and re-render the mosaics.
 
         Parameters
@@ -149,7 +148,7 @@ class StackMosaics:
         self.revision += 1
         return True
 
-    def _run(self, progress: Progress) -> None:
+    def _run(self, progress: ProgressWrapper) -> None:
         if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
             self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
             if note:
@@ -165,7 +164,7 @@ class StackMosaics:
         if self.rows.counts[TrackingState.TRACKED.value] < 2:
             self.notes.append(UNLINKED)
 
-    def _refine(self, progress: Progress) -> None:
+    def _refine(self, progress: ProgressWrapper) -> None:
         self._shown = self.canvases  # displayed until the re-rendered ones are complete
         self._lead.finish(self._pairs, progress)
         fresh = {mode: self._pipeline(mode) for mode in self._followers}

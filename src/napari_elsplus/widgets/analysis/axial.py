@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,7 +9,7 @@ import numpy as np
 from magicgui.widgets import ComboBox, FloatSpinBox
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import replacing
+from napari_elsplus.io import write_json
 from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE
 from napari_elsplus.viewing.axial import (
     MANUAL_SCAN,
@@ -146,8 +145,7 @@ class AxialResponsePanel(AnalysisPanel):
             raise InputError("there is no scan to save", "measure one first")
         one = len(self.scans) == 1
         content = self.scans[0].content() if one else {"scans": [scan.content() for scan in self.scans]}
-        with replacing(path, force=True) as beside:
-            beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(path, content, indent=1, allow_nan=False, force=True)
 
     def copy_script(self) -> None:
         """Copy a script that measures the selected stack to the clipboard."""

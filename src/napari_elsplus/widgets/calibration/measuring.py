@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
     from napari_elsplus.processing.calibration.draft import Draft
-    from napari_elsplus.processing.calibration.step import CalibrationStep, ProgressWrapper
+    from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.viewing.stack import Stack
 
 READING_INTERVAL_S: Final = 0.04

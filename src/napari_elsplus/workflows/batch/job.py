@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import replacing
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
-from napari_elsplus.io.text import read_lines
+from napari_elsplus.io.text import read_lines, write_json
 from napari_elsplus.processing.images.modes import Mode
 
 if TYPE_CHECKING:
@@ -111,8 +110,7 @@ class BatchItem:
 
     def remember(self, job: BatchJob, stage: str, values: Values) -> None:
         """Write that a stage of a job is finished, with the values that it found."""
-        with replacing(self.record(job, stage), force=True) as unfinished:
-            unfinished.write_text(json.dumps({"input": self.fingerprint(), "values": values}), encoding="utf-8")
+        write_json(self.record(job, stage), {"input": self.fingerprint(), "values": values}, force=True)
 
     def record(self, job: BatchJob, stage: str) -> Path:
         """Return the path of the record that a stage of a job is finished."""
@@ -166,8 +164,7 @@ def open_output(job: BatchJob) -> None:
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError(f"{output} holds other files", "name a new folder")
     file.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(file) as unfinished:
-        unfinished.write_text(json.dumps(described), encoding="utf-8")
+    write_json(file, described)
 
 
 def _in_folder(folder: Path) -> list[Path]:

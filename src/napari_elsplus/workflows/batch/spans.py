@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.io import put_in_place, replacing
+from napari_elsplus.io import put_in_place, replacing, write_json
 from napari_elsplus.io.atomic import remove_unfinished
 from napari_elsplus.workflows.batch.job import RECORDS
 
@@ -90,13 +90,12 @@ class SpannedImages:
             with replacing(self.folder) as beside:
                 beside.mkdir()
                 images.allocate(beside / self.job.images_name)
-                (beside / _PLAN).write_text(json.dumps(plan), encoding="utf-8")
+                write_json(beside / _PLAN, plan)
         return [span for span in spans if not self._record(span.start, span.stop).exists()]
 
     def remember(self, span: range, values: Values) -> None:
         """Write that a span is in the file and flushed, with the values that were found in it."""
-        with replacing(self._record(span.start, span.stop), force=True) as unfinished:
-            unfinished.write_text(json.dumps(values), encoding="utf-8")
+        write_json(self._record(span.start, span.stop), values, force=True)
 
     def finish(self) -> Values:
         """Rename the file, of which all spans are written, into place; return the values of the stage."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB
 from napari_elsplus.simulation.model.axial_response import axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
@@ -74,7 +75,7 @@ def _predicted_performance(found: SlitOffset, draft: Draft, setup: Setup, scale:
     slit_rows = setup.acquired_with.slit_rows_or_default
     line = _line(found, draft, slit_rows, scale)
     light_dn, gain_db = found.confocal.amplitude, setup.acquired_with.gain_db or 0.0
-    bundle_um = draft.bundle_um or (found.confocal.columns[1] - found.confocal.columns[0]) * scale  # the lit columns
+    bundle_um = draft.bundle_um or found.confocal.length_px * scale
     given = predict_performance(
         found.rows * scale, slit_rows * scale, line, light_dn, gain_db=gain_db, bundle_um=bundle_um
     )
@@ -102,7 +103,8 @@ def _sectioning_against_offset(found: SlitOffset, draft: Draft, setup: Setup, sc
     line, present_um = _line(found, draft, slit_rows, scale), abs(found.rows) * scale
     offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
     els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
-    distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in (0.5, 0.1)]
+    levels = LEVEL_3DB, LEVEL_10DB
+    distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in levels]
     curves = [
         Curve("signal kept (%)", offsets, 100 * els[:, 0], "blue"),
         Curve("3 dB (µm)", offsets, np.array(distances[0]), "orange", "dashed"),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.finished.field import FinishedField
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.motion.pose import Pose
@@ -119,10 +120,9 @@ class CorePipeline(Pipeline):
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
         """Track a raw frame and insert its cores; parameters as of :meth:`Pipeline.add`."""
-        pose, _ = self.locate(raw, raw_residual)
-        self._note(pose, frame, time_s)
-        self.insert_raw(pose, raw, raw_residual)
-        return self.rows[-1]
+        row = self.track(raw, frame, time_s, raw_residual)
+        self.insert_raw(self.poses[-1], raw, raw_residual)
+        return row
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert the cores of a raw frame at a pose; others as of :meth:`Pipeline.add`."""
@@ -132,7 +132,7 @@ class CorePipeline(Pipeline):
     def finish(
         self,
         raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+        progress: ProgressWrapper = iter,
     ) -> None:
         """Refine all positions, insert all frames at them and reconstruct the mosaics: :meth:`Pipeline.finish`.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.pictures.comparison import COLOURS
 
@@ -43,15 +44,15 @@ def plot_axial_response(axes: Axes, response: AxialResponse) -> None:
     axes.plot(distance_um, response.residual, "--", color=RESIDUAL_COLOUR, label="residual, on the scale of LS")
     axes.plot(distance_um, response.els, color=COLOURS[Mode.ELS], label="ELS+")
     for drop, level, mode in (
-        (response.ls_3db, 0.5, Mode.LS),
-        (response.ls_10db, 0.1, Mode.LS),
-        (response.els_3db, 0.5, Mode.ELS),
-        (response.els_10db, 0.1, Mode.ELS),
+        (response.ls_3db, LEVEL_3DB, Mode.LS),
+        (response.ls_10db, LEVEL_10DB, Mode.LS),
+        (response.els_3db, LEVEL_3DB, Mode.ELS),
+        (response.els_10db, LEVEL_10DB, Mode.ELS),
     ):
         if np.isfinite(drop.um):
             axes.plot(drop.um, level, "o", color=COLOURS[mode])
             axes.annotate(f"{drop.um:.0f} um", (drop.um, level), (5, 5), textcoords="offset points")
-    for level, name in ((0.5, "3 dB"), (0.1, "10 dB")):
+    for level, name in ((LEVEL_3DB, "3 dB"), (LEVEL_10DB, "10 dB")):
         axes.axhline(level, color="0.8", lw=0.8, zorder=0)
         axes.text(distance_um[-1], level, name, ha="right", va="bottom", color="0.4")
     axes.set(xlabel="distance from contact (um)", ylabel="signal over signal in contact", ylim=(-0.05, 1.08))

@@ -90,10 +90,7 @@ def calibrated_line(calibration: Calibration, plate: Mapping[str, Any] | None = 
     InputError
         If the plate's content is incomplete.
     """
-    calibration.require("offset", "optics")
-    offset, um = calibration.measured_offset, calibration.um_per_px
-    if um is None:
-        raise CalibrationError("the calibration has no scale", "measure it with `calibrate --um-per-px` or --bundle-um")
+    offset, um = calibration.measured_offset, calibration.measured_um_per_px
     if offset.core_rows is None or offset.halo_rows is None or offset.halo_share is None:
         raise CalibrationError(
             "the calibration has no core and halo of the line", "measure them with `calibrate --line`, near the middle"

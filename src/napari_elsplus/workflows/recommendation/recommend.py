@@ -117,8 +117,7 @@ def recommend(
     if not 0 < keep < 1:
         raise InputError(f"the fraction to keep is {keep:g}", "give a number between 0 and 1")
     estimate = calibrated_line(calibration, plate)
-    um, bundle = calibration.um_per_px, calibration.bundle
-    assert um is not None
+    um, bundle = calibration.measured_um_per_px, calibration.bundle
     reach_um = MAX_OFFSET_SHARE * (bundle.diameter_px * um if bundle is not None else BUNDLE_UM)
     slit_rows, offset_um = _best(estimate.line, um, depth_um, keep, reach_um)
     drawn = list(estimate.draws(DRAWS))

@@ -11,6 +11,7 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration
+from napari_elsplus.instrument.staleness import stale_sections
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
@@ -130,7 +131,7 @@ def test_a_learned_ramp_is_kept_in_files_and_stale_at_another_rate(tmp_path) -> 
     draft = Draft(known)
     now = AcquiredWith(frame_rate_hz=200.0)
     then = known.model_copy(update={"acquired_with": AcquiredWith(frame_rate_hz=240.0)})
-    assert "scan_correction" in then.stale_sections(now)
+    assert "scan_correction" in stale_sections(then, now)
     assert LAG.state(draft, rig.setup)[0] == "done"
 
 

@@ -196,11 +196,6 @@ class CoreMatcher:
         self.contrast = core_contrast(frame, radius)
         self.confocal = cropped(self.contrast, confocal.centre, self.side)
 
-    @property
-    def points(self) -> int:
-        """Number of pixels compared."""
-        return len(self.rows)
-
     def grid_to_frame(self, centre: tuple[float, float], motion: Floats) -> Floats:
         """Return the map from the grid's (row, col, 1) to the frame, for a motion about a centre, shape (2, 3)."""
         moved = np.array(motion, np.float64)
@@ -363,24 +358,6 @@ def newton_step(target: Floats, found: Floats, of_target: Floats, of_found: Floa
     curvature = (curvature + curvature.T) / 2
     scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
     return np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0], scores, curvature
-
-
-def information_criterion(omitted: Floats, influence: Floats, parameters: int) -> float:
-    """Return the Bayesian information criterion of a model: Wald statistic of what it omits, and its parameters.
-
-    The Wald statistic stands in for the likelihood's loss, since its covariance also holds for lumpy residuals.
-
-    Parameters
-    ----------
-    omitted : numpy.ndarray
-        Combinations of the parameters of a fuller fit that vanish in the model, (combinations,).
-    influence : numpy.ndarray
-        Contribution of each tile to their errors, (tiles, combinations).
-    parameters : int
-        Number of the model's parameters.
-    """
-    wald = float(omitted @ np.linalg.pinv(influence.T @ influence) @ omitted) if len(omitted) else 0.0
-    return wald + parameters * float(np.log(len(influence)))
 
 
 def circle_points(radius: float) -> tuple[Floats, Floats]:

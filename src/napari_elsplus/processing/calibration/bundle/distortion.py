@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import null_space
 
-from napari_elsplus.processing.analysis.uncertainty import estimator_influence
+from napari_elsplus.processing.analysis.uncertainty import estimator_influence, information_criterion
 from napari_elsplus.processing.calibration.bundle.core_matching import (
     circle_points,
-    information_criterion,
     newton_step,
     slopes,
     tiles,

@@ -15,6 +15,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
+from napari_elsplus.processing.calibration.bundle.gain import GAINS
 from napari_elsplus.processing.images.cores import core_pitch_px
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -37,8 +38,6 @@ clean views of twelve random rigs (seeds 500 to 511): it is larger in all of the
 MIN_VARIATION: Final = 0.004
 """Standard deviation of the smooth map over the field, with which it is used even where the cores' sampling hides it
 from the misfit; measured: at most 0.0034 on the clean views of 36 random rigs (seeds 500 to 523, 600 to 611)."""
-GAIN_LIMITS: Final = (0.5, 2.0)
-"""Of the map; as of the gain."""
 _LIT: Final = 0.05
 """Share of the mean light below which a pixel has no gain of its own; chosen."""
 
@@ -82,7 +81,7 @@ def measure_gain_map(frame: NDArray[np.floating], calibration: Calibration) -> I
         best = 0
         if not _common_variation(maps[0][0], maps[0][1], weights) > MIN_VARIATION:
             return None
-    found = np.where(inside, np.clip(ratios[best](confocal, residual), *GAIN_LIMITS), 1)
+    found = np.where(inside, np.clip(ratios[best](confocal, residual), *GAINS), 1)
     # Its mean would not do: light divided by a map that varies from core to core is more than light over the mean.
     light = residual * disc(sectioner.side, COMPARED_DISC * sectioner.diameter_px)
     scale = float(light.sum(dtype=np.float64) / (light / found).sum(dtype=np.float64))

@@ -53,8 +53,6 @@ class Disc:
         One standard deviation of the centre, along a row or column.
     diameter_uncertainty_px : float
         One standard deviation of the diameter.
-    threshold : float
-        Grey level of the binary threshold.
     edge_seen : float
         Share of the circumference on which the edge was found.
     """
@@ -63,7 +61,6 @@ class Disc:
     diameter_px: float
     centre_uncertainty_px: float
     diameter_uncertainty_px: float
-    threshold: float
     edge_seen: float
 
     @property
@@ -182,10 +179,19 @@ def _dark_column(mask: NDArray[np.bool_], threshold: float) -> int:
     middle = counts[start:stop]
     if middle.min() > 0.25 * counts.max():
         raise _not_two(1, threshold)
-    gap = np.flatnonzero(middle == middle.min())
-    runs = np.split(gap, np.flatnonzero(np.diff(gap) > 1) + 1)
-    widest = max(runs, key=len)
-    return start + round(float(widest.mean()))
+    return start + middle_of_longest_run(np.flatnonzero(middle == middle.min()))
+
+
+def middle_of_longest_run(indices: NDArray[np.intp]) -> int:
+    """Return the middle of the longest run of successive numbers among ascending `indices`.
+
+    Examples
+    --------
+    >>> middle_of_longest_run(np.array([2, 7, 8, 9, 14, 15]))
+    8
+    """
+    runs = np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+    return round(float(max(runs, key=len).mean()))
 
 
 def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float, first_column: int) -> Disc:
@@ -208,7 +214,6 @@ def _disc(frame: Image, mask: NDArray[np.bool_], scale: float, threshold: float,
         diameter_px=float(2 * circle[2]),
         centre_uncertainty_px=float(max(spread[:2])),
         diameter_uncertainty_px=float(2 * spread[2]),
-        threshold=threshold,
         edge_seen=seen,
     )
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import information_criterion
 from napari_elsplus.processing.calibration.bundle.core_matching import (
     MAX_ROTATION_DEG,
     MAX_SEARCHED_ROTATION_DEG,
@@ -21,7 +22,6 @@ from napari_elsplus.processing.calibration.bundle.core_matching import (
     CoreMatcher,
     DifferentCoresError,
     UnresolvedCoresError,
-    information_criterion,
 )
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionMatcher, DistortionModel
 from napari_elsplus.processing.calibration.bundle.distortion_evidence import MIN_DISTORTION_PX, distortion_evidence

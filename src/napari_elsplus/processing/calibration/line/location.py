@@ -15,8 +15,6 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.line_parts import LineParts as LineParts
-from napari_elsplus.processing.analysis.line_parts import measure_line_parts
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.calibration.line.bow import fit_bow
 from napari_elsplus.processing.calibration.line.search import Streak, brightest_streak, without_hot_pixels
@@ -96,6 +94,11 @@ class Line:
     influence: Floats
     bend: float = 0.0
     mean_square_px: float = 0.0
+
+    @property
+    def length_px(self) -> int:
+        """Number of lit columns."""
+        return self.columns[1] - self.columns[0]
 
     @property
     def tilt_deg(self) -> float:
@@ -201,22 +204,6 @@ def locate_line(view: NDArray[np.generic], background: Image | None = None, near
             "is other light on?",
         )
     return line
-
-
-def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
-    """Return core and halo of a line; None where its profile does not show both.
-
-    Parameters
-    ----------
-    line : Line
-        The line, near the middle of the bundle.
-    view : numpy.ndarray
-        (rows, cols) view in which it was located, without its background.
-    """
-    try:
-        return measure_line_parts(view, line.row, line.slope, line.columns, line.width_rows)
-    except MeasurementError:
-        return None
 
 
 def _still_near(view: NDArray[np.generic], background: Image | None, near: Line) -> Line | None:

@@ -16,12 +16,13 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
     from napari_elsplus.processing.calibration.scan.row_errors import RowErrors
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     Floats = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ def measure_lag(signal_at: Callable[[float, float], float], line_period_s: float
 def take_leads(
     signal_at: Callable[[float, float], float],
     line_period_s: float,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: ProgressWrapper = iter,
 ) -> tuple[Floats, Floats]:
     """Return the leads in seconds and the signal at each, shape (n,): the last ``len(FINE_SHIFTS)`` are fine shifts.
 

@@ -17,17 +17,15 @@ from napari_elsplus.processing.calibration.scan.galvo_response import ScanRecord
 from napari_elsplus.processing.calibration.scan.row_errors import RowProfile, find_row_errors, join_views
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.scan.galvo_response import Drive, GalvoResponse
     from napari_elsplus.processing.calibration.scan.row_errors import RowErrors
     from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
 
     Floats = NDArray[np.float64]
-    Progress = Callable[[Iterable[int]], Iterable[int]]
 
 TOLERATED_SLIT_SHARE: Final = 0.25
 """Largest row error over the slit's width; chosen: a line as wide as it then loses a hundredth of its light."""
@@ -137,7 +135,7 @@ class RampLearner:
         confocal = find_row_errors(shifts_rows, profiles[:, 0], lit) + self.profile.bowed_rows
         return join_views(confocal, np.full_like(confocal, np.nan), lit)
 
-    def learn(self, lag_s: float, progress: Progress = iter) -> LearnedRamp:
+    def learn(self, lag_s: float, progress: ProgressWrapper = iter) -> LearnedRamp:
         """Correct the ramp until no row is off by more than the limit; keep the best.
 
         Parameters
@@ -188,7 +186,7 @@ class RampLearner:
             return LearnedRamp(before, before, self.limit_rows, response, None, self.frames, highest_rate_hz)
         return LearnedRamp(before, best, self.limit_rows, *kept, self.frames, highest_rate_hz)
 
-    def _measure(self, trial: Calibration, reach_rows: float, progress: Progress) -> RowErrors:
+    def _measure(self, trial: Calibration, reach_rows: float, progress: ProgressWrapper) -> RowErrors:
         """Measure row errors with shifts about those at which the confocal, and the residual view is brightest."""
         reach, offset = round(reach_rows / SHIFT_STEP_ROWS), round(self.profile.offset_rows / SHIFT_STEP_ROWS)
         steps = np.arange(-reach, reach + 1)

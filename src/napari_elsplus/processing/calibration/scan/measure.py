@@ -14,11 +14,12 @@ from napari_elsplus.processing.calibration.scan.learned_ramp import RampLearner,
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Setup
-    from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp, Progress, Scans
+    from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp, Scans
+    from napari_elsplus.processing.progress import ProgressWrapper
 
 
 def measure_scan(
-    scans: Scans, calibration: Calibration, setup: Setup, frames: int, progress: Progress = iter
+    scans: Scans, calibration: Calibration, setup: Setup, frames: int, progress: ProgressWrapper = iter
 ) -> ScanLag:
     """Measure the scan lag and the row errors; learn the ramp where a row is off by more than a quarter of the slit.
 
@@ -75,7 +76,7 @@ def measure_scan(
     return replace(found, row_errors=ramp.after, ramp=ramp)
 
 
-def _learned(learner: RampLearner, lag_s: float, refusal: MeasurementError, progress: Progress) -> LearnedRamp:
+def _learned(learner: RampLearner, lag_s: float, refusal: MeasurementError, progress: ProgressWrapper) -> LearnedRamp:
     """Learn a ramp from the brightest lead where the lag was refused; raise the refusal if that fails, too."""
     try:
         ramp = learner.learn(lag_s, progress)

@@ -118,9 +118,7 @@ class ImageCanvas(TiledCanvas):
             (rows, cols) float32 grey levels and weights, 0 where there is nothing.
         """
         with self._lock:
-            for key in part.tiles():
-                tile, at = self._store.tile(*key), tile_rectangle(*key)
-                shared = part.intersection(at)
-                here, there = shared.slices(part), shared.slices(at)
+            for key, here, there in part.pieces():
+                tile = self._store.tile(*key)
                 tile.value[there], tile.weight[there] = image[here], weight[here]
             self._mark_drawn(part)
