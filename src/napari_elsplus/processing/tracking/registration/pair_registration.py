@@ -205,9 +205,10 @@ class Registrar:
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
-        self._lit, self._turning = grid.spans(level=1), grid.spans(TURNING_FIELD, level=1)
-        self._middle, self._column = grid.middle(1), (grid.centre[1] - 0.5) / 2
-        self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
+        half, coarsest_px = grid.binned(2), 2 ** (LEVELS - 1)
+        self._lit, self._turning = half.spans(), half.spans(TURNING_FIELD)
+        self._middle, self._column = half.centre
+        self._everywhere = ShiftSearch(*grid.binned(coarsest_px).spans(), coarsest_px)
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(10)
         self._scratch = self.view()

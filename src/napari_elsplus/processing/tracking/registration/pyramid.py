@@ -98,7 +98,7 @@ class Pyramid(NamedTuple):
         field : float
             Part of the diameter: dark pixels beyond it would leave a static rim.
         """
-        lit = tuple(lit_pixels(*grid.spans(field, level)) for level in range(LEVELS))
+        lit = tuple(lit_pixels(*grid.binned(2**level).spans(field)) for level in range(LEVELS))
         gaussian = cv2.getGaussianKernel(2 * _REACH + 1, HIGH_PASS_PX / 2 ** (LEVELS - 1), cv2.CV_32F)
         inside = lit[-1].astype(np.float32)
         size = len(inside)

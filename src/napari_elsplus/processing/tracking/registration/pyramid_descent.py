@@ -93,11 +93,11 @@ class Tools(NamedTuple):
     def of(cls, grid: Grid, field: float) -> Tools:
         """Return those for frames on a grid that are lit in a part of the diameter, `field`."""
         lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
-        spans = *(grid.spans(level=level) for level in range(LEVELS)), grid.spans(INNER_FIELD)
+        levels = [grid.binned(2**level) for level in range(LEVELS)]
+        spans = *(one.spans() for one in levels), grid.spans(INNER_FIELD)
         for columns, span in zip(lit, spans, strict=True):
             columns[:, : len(span[0])] = span
-        middles = tuple(grid.middle(level) for level in range(LEVELS))
-        diameter = FIELD * grid.diameter
+        middles, diameter = tuple(one.centre[0] for one in levels), FIELD * grid.diameter
         return cls(lit, middles, diameter, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
 
 
