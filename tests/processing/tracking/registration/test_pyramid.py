@@ -9,6 +9,7 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 from napari_elsplus.processing.tracking.registration.pyramid import (
     HIGH_PASS_PX,
+    HIGH_PASSED,
     Levels,
     Pyramid,
     fill_levels,
@@ -49,6 +50,6 @@ def test_what_is_smooth_within_the_disc_is_subtracted() -> None:
     assert np.abs(levels[2] - _halved(levels[1])).max() < 1e-3
 
     high_pass(frame, pyramid)
-    fine = frame.high_passed
+    fine = frame.images[HIGH_PASSED]
     assert abs(fine[lit > 0].mean()) < 1
     assert not fine[lit == 0].any()
