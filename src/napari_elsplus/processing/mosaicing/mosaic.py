@@ -85,13 +85,13 @@ def rim_weights(grid: Grid, offset_px: float = 0.0) -> NDArray[np.float32]:
     radius = 0.5 * FIELD * grid.diameter
     inwards = 1 - np.hypot(y[:, None], x) / radius
     beyond = 1 - np.hypot(y[:, None] + offset_px, x) / (0.5 * grid.diameter)
-    top, bottom, left, right = grid.seen_at()
-    rows, cols = np.arange(grid.side)[:, None], np.arange(grid.side)
-    from_frame = np.minimum(
-        np.minimum(rows + 1 - top, bottom - rows) if grid.seen else np.inf,
-        np.minimum(cols + 1 - left, right - cols) if grid.seen else np.inf,
-    )
-    ramp = np.clip(np.minimum(np.minimum(inwards, beyond), from_frame / radius) / _RAMP, 0, 1)
+    depth = np.minimum(inwards, beyond)
+    if grid.seen is not None:
+        top, bottom, left, right = grid.seen
+        rows, cols = np.arange(grid.side)[:, None], np.arange(grid.side)
+        from_frame = np.minimum(np.minimum(rows + 1 - top, bottom - rows), np.minimum(cols + 1 - left, right - cols))
+        depth = np.minimum(depth, from_frame / radius)
+    ramp = np.clip(depth / _RAMP, 0, 1)
     weights: NDArray[np.float32] = np.maximum(ramp * ramp * (3 - 2 * ramp), _RIM_WEIGHT).astype(np.float32)
     return weights
 

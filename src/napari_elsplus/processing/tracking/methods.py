@@ -1,7 +1,7 @@
 """Tracking methods: the protocol, and sub-pixel registration with a pose graph.
 
-:mod:`~napari_elsplus.processing.tracking.registry` lists them by name; a method made of any pairwise registration is
-:class:`~napari_elsplus.processing.tracking.pairwise_tracking.PairwiseTracking`.
+:mod:`~napari_elsplus.processing.tracking.registry` lists them by name; any pairwise registration becomes a registrar by
+:class:`~napari_elsplus.processing.tracking.pairwise_tracking.PairwiseRegistrar`.
 """
 
 from __future__ import annotations
@@ -195,8 +195,13 @@ class RegistrationTracking(FrontEndImages):
         return self._tracker.model
 
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`."""
+        """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`.
+
+        Unchanged where shifts alone are registered, without odds by which a graph could weigh them.
+        """
         registrar, links, model = self._tracker.registrar, self._tracker.links, self._tracker.model
+        if not registrar.registers_warps:
+            return poses
         frame = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES)
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(links, registrar, frame)

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.tracking.methods import RegistrationTracking
 from napari_elsplus.processing.tracking.registration.odds import write_prior
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-    from napari_elsplus.processing.tracking.motion.pose import Pose
 
 
 class PairwiseShift(NamedTuple):
@@ -110,34 +103,3 @@ class PairwiseRegistrar(Registrar):
         link = PairRegistration(warp, information, found.score, 1.0, inf)
         velocity, variance = motion.later_velocity(warp, link.warp_covariance)
         return link._replace(velocity=velocity, velocity_variance=variance)
-
-
-class PairwiseTracking(RegistrationTracking):
-    """Tracking method around a pairwise registration function, without loop closure.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Needs the bundle section; the rolling shutter is corrected where the line periods per frame are known.
-    frame_shape : tuple of int
-        Rows and columns of the raw frames.
-    mode : Mode
-        Image type to track.
-    register : PairwiseRegistration
-        ``register(fixed, moving, expected)`` returns a `PairwiseShift`, or None.
-    """
-
-    def __init__(
-        self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode, register: PairwiseRegistration
-    ) -> None:
-        super().__init__(calibration, frame_shape, mode, partial(PairwiseRegistrar, register=register))
-
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses unchanged: the function gives no odds by which loops could be closed.
-
-        Parameters
-        ----------
-        poses, image
-            As of :meth:`~.TrackingMethod.refine`.
-        """
-        return poses

@@ -18,7 +18,7 @@ from warnings import warn
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.methods import RegistrationTracking, TrackingMethod
-from napari_elsplus.processing.tracking.pairwise_tracking import PairwiseRegistration, PairwiseTracking
+from napari_elsplus.processing.tracking.pairwise_tracking import PairwiseRegistrar, PairwiseRegistration
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, TEMPLATE_PX, TemplateTracking
 from napari_elsplus.processing.tracking.tracker import MAX_DISPLACEMENT_DIAMETERS
 
@@ -128,7 +128,8 @@ def register_pairwise_method(name: str, register: PairwiseRegistration, descript
     description : str
         One line, for help texts and tooltips.
     """
-    register_tracking_method(name, partial(PairwiseTracking, register=register), description)
+    registrar = partial(PairwiseRegistrar, register=register)
+    register_tracking_method(name, partial(RegistrationTracking, registrar=registrar), description)
 
 
 def tracking_methods() -> Mapping[str, RegisteredMethod]:

@@ -7,7 +7,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.tracking.front_end.binned_blocks import BLOCK
 from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX
 from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, VECTOR, WIDTH
-from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
+from napari_elsplus.processing.tracking.front_end.view_blocks import HELD, scratch, view_blocks
 
 MEMORY_PX = WIDTH * 2 * ROWS
 
@@ -34,8 +34,8 @@ def test_every_lit_pixel_is_filled_from_where_its_view_lies(binning: int, turn: 
     blocks = view_blocks(confocal, residual, binning, spans, frame)
     memory = np.full((MEMORY_PX, 4), np.nan)
     for group, (begin, end) in enumerate(zip(blocks.first[:-1], blocks.first[1:], strict=True)):
-        for at in blocks.cleared[blocks.first_cleared[group] : blocks.first_cleared[group + 1]]:
-            memory[at : at + VECTOR] = np.nan
+        for before, here in zip(*(blocks.ends[k + ROWS * group :][:ROWS] for k in (0, HELD)), strict=True):
+            memory[before[0] : here[0]] = memory[here[1] : before[1]] = np.nan
         for n in range(begin, end):
             pixels = np.arange(BLOCK)
             filled = (int(blocks.places[n, 3]) >> pixels & 1).astype(bool)

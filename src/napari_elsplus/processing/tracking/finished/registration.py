@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot, inf, log
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.finished.shift_odds import MIN_ODDS_NATS, ShiftOdds
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
+from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.prediction import AT_REST
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Warp
@@ -77,7 +77,8 @@ class FinishedRegistrar(Registrar):
         self._field = stack
         self._odds = ShiftOdds(stack.mask, stack.coarse_diameter)
         self.binning = max(1, round(FIELD * stack.grid.diameter / REFINED_DIAMETER_PX))
-        grid = _binned(stack.grid, self.binning)
+        grid = stack.grid.binned(self.binning)
+        grid = replace(grid, side=grid.side // 4 * 4)
         super().__init__(grid, FIELD + _MARGIN_PX / grid.diameter)
 
     def view(self) -> FinishedFrame:
@@ -138,10 +139,3 @@ class FinishedNodeRegistration(NodeRegistration):
             As of :meth:`~.NodeRegistration.joins`.
         """
         return link.odds >= MIN_ODDS_NATS + 2 * log(max(expected.earlier, expected.later))
-
-
-def _binned(grid: Grid, binning: int) -> Grid:
-    """Return a grid of coarser pixels; what is left over at its end is cut off."""
-    row, col = ((c - (binning - 1) / 2) / binning for c in grid.centre)
-    side = grid.side // binning // 4 * 4
-    return Grid(side, binning, grid.origin, (row, col), grid.diameter / binning, grid.shutter)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, cast
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -19,7 +20,6 @@ from napari_elsplus.processing.vectors import FLOAT, Vectors, data_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
 BLOCK: Final = 32
@@ -28,8 +28,9 @@ longest there is."""
 AHEAD: Final = 96
 """Number of blocks, some twelve rows, ahead of which the camera's memory is prefetched; chosen: between 24 and 240 it
 makes no difference beyond its scatter."""
+CAMERA_KINDS: Final = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
+"""Kinds of camera pixels that are binned."""
 _PLACE: Final = ir.IntType(64)
-_FLOAT_BITS: Final = 32
 
 
 class _Camera:
@@ -49,8 +50,8 @@ class _Camera:
         self._builder, self._kind, self._binning = builder, kind, binning
         self._vectors = Vectors(builder, BLOCK)
         self._exact: Any = None
-        """Integers that hold the sum of a square; None where sums are float32."""
-        if isinstance(kind, types.Integer) and _bits(kind) <= 16:
+        """Integers that hold the sum of a square; None where pixels, and so sums, are float32."""
+        if isinstance(kind, types.Integer):
             self._exact = ir.IntType(16 if binning**2 << _bits(kind) < 2**15 else 32)
 
     def added(self, numbers: Sequence[Any]) -> Any:
@@ -74,7 +75,7 @@ class _Camera:
         many = ir.VectorType(data.type.pointee, self._binning * BLOCK)
         place = self._builder.bitcast(self._builder.gep(data, [element]), many.as_pointer())
         pixels = self._builder.load(place, align=_bits(self._kind) // 8)
-        if self._exact and self._exact.width == self._binning * _bits(self._kind) and not self._kind.signed:
+        if self._exact and self._exact.width == self._binning * _bits(self._kind):
             return self._parts(self._builder.bitcast(pixels, self._vectors.of(self._exact)))
         every = range(0, self._binning * BLOCK, self._binning)
         return [
@@ -83,7 +84,7 @@ class _Camera:
         ]
 
     def _parts(self, together: Any) -> list[Any]:
-        """Return the first, second, ... of the unsigned pixels that are one integer together, its lowest bits first."""
+        """Return the first, second, ... of the pixels that are one integer together, its lowest bits first."""
         width, numbers = _bits(self._kind), self._vectors.of(self._exact)
         mask = ir.Constant(numbers, [2**width - 1] * BLOCK)
         shifted = (
@@ -93,15 +94,7 @@ class _Camera:
 
     def _summand(self, pixels: Any) -> Any:
         """Return pixels as what their sums are."""
-        signed = getattr(self._kind, "signed", False)
-        if self._exact:
-            widened = self._builder.sext if signed else self._builder.zext
-            same = self._exact.width == _bits(self._kind)
-            return pixels if same else widened(pixels, self._vectors.of(self._exact))
-        floats = self._vectors.of(FLOAT)
-        if isinstance(self._kind, types.Integer):
-            return (self._builder.sitofp if signed else self._builder.uitofp)(pixels, floats)
-        return pixels if _bits(self._kind) == _FLOAT_BITS else self._builder.fptrunc(pixels, floats)
+        return self._builder.zext(pixels, self._vectors.of(self._exact)) if self._exact else pixels
 
 
 def _bits(kind: Any) -> int:
@@ -168,7 +161,8 @@ def _bin_blocks(
     Parameters
     ----------
     raw, raw_residual : numpy.ndarray
-        (rows, cols), C-contiguous: frames that the confocal and the residual view are taken from.
+        (rows, cols), C-contiguous, of :data:`CAMERA_KINDS`: frames that the confocal and the residual view are taken
+        from.
     pixels : tuple of int
         0, 1, ...: as many as there are camera pixels per pixel of the grid in a row.
     places, fractions, slopes : numpy.ndarray, numpy.ndarray, tuple of float32

@@ -12,7 +12,8 @@ import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, bin_blocks
-from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, VECTOR, WIDTH, smooth_rows
+from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, WIDTH, smooth_rows
+from napari_elsplus.processing.tracking.front_end.view_blocks import HELD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,8 +57,10 @@ def subtract_views(
             prefetch(raw, r, blocks.places[n, 0])
             prefetch(raw_residual, r, blocks.places[n, 1])
     for group in range(len(blocks.first) - 1):
-        for n in range(blocks.first_cleared[group], blocks.first_cleared[group + 1]):
-            rows[blocks.cleared[n] : blocks.cleared[n] + VECTOR] = np.float32(0)
+        for row in range(ROWS * group, ROWS * (group + 1)):
+            before, here = blocks.ends[row], blocks.ends[row + HELD]
+            rows[before[0] : here[0]] = np.float32(0)
+            rows[here[1] : before[1]] = np.float32(0)
         bin_blocks(
             raw, raw_residual, pixels, blocks.places, blocks.fractions, blocks.first[group], blocks.first[group + 1],
             blocks.slopes, weights, rows,

@@ -7,6 +7,7 @@ smoothed over about one core, and divided by the flat. Thrapp and Hughes, Method
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +19,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
+from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
 from napari_elsplus.processing.tracking.front_end.binning import is_blank, subtract_views
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
 from napari_elsplus.processing.tracking.front_end.view_blocks import interleaved, scratch, view_blocks
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-
-    Indices = NDArray[np.intp]
 
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
@@ -63,30 +63,29 @@ class FrontEnd:
         assert calibration.bundle is not None
         bundle, q = calibration.bundle, grid.binning
         to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
-        gain = bundle.residual_gain
         sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
-        views = (
-            _Binning(grid, np.eye(3)[:2], 0.0 if mode is Mode.RESIDUAL else 1 / q**2),
-            _Binning(grid, to_residual, sign / gain / q**2),
-        )
+        weights = 0.0 if mode is Mode.RESIDUAL else 1 / q**2, sign / bundle.residual_gain / q**2
+        # maps of the views that are read, from camera pixels counted from the grid's corner to those of the frame
+        views = [
+            np.column_stack([view[:, :2], view[:, 2] + view[:, :2] @ grid.origin])
+            for view, weight in zip((np.eye(3)[:2], to_residual), weights, strict=True)
+            if weight
+        ]
         seen = _seen(grid, views, self._frame_shape)
         if seen is not None:
             subtracts = sign != 0 and mode is not Mode.RESIDUAL
             grid = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
         self.grid = grid
         self.lit = grid.spans(1.0)
-        # a view of weight zero is read where the other one lies
-        confocal, residual = (
-            (view if view.weight else other).matrix for view, other in zip(views, views[::-1], strict=True)
-        )
-        self._blocks = view_blocks(confocal, residual, q, self.lit, self._frame_shape)
-        self._weights = (np.float32(views[0].weight), np.float32(views[1].weight))
+        # a view of weight zero is taken from where the other one lies
+        self._blocks = view_blocks(views[0], views[-1], q, self.lit, self._frame_shape)
+        self._weights = (np.float32(weights[0]), np.float32(weights[1]))
         self._rows = scratch()
         inside = lit_pixels(*self.lit).astype(np.float32)
-        weights = _smooth(inside)
+        light = _smooth(inside)
         if calibration.flat is not None:
-            weights = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * weights)
-        scale = np.divide(inside, weights, out=np.zeros_like(inside), where=inside > 0)
+            light = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * light)
+        scale = np.divide(inside, light, out=np.zeros_like(inside), where=inside > 0)
         self._factors = interleaved(scale, np.zeros_like(scale))
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
@@ -123,17 +122,8 @@ class FrontEnd:
         return out
 
     def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
-        pixels = tuple(range(self.grid.binning))
-        subtract_views(
-            _read_only(raw),
-            _read_only(raw_residual),
-            pixels,
-            self._blocks,
-            self._weights,
-            self._factors,
-            self._rows,
-            out,
-        )
+        frames, pixels = (_readable(raw), _readable(raw_residual)), tuple(range(self.grid.binning))
+        subtract_views(*frames, pixels, self._blocks, self._weights, self._factors, self._rows, out)
 
     def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the tracking image (n, n) of the background, added byte by byte.
@@ -141,13 +131,10 @@ class FrontEnd:
         So the kernel is compiled for frames of bytes only, which takes seconds.
         """
         total, part = np.zeros((2, self.grid.side, self.grid.side), np.float32)
-        steps, level = np.empty(background.shape, "<u4"), np.empty(background.shape, np.uint8)
-        signs = (1,) if background.min() >= 0 else (1, -1)
-        for sign in signs:
-            light = background if len(signs) == 1 else np.maximum(sign * background, 0)
-            np.multiply(light, BACKGROUND_STEPS, out=steps, casting="unsafe")
+        for sign in (1, -1):
+            steps = (np.maximum(sign * background, 0) * BACKGROUND_STEPS).astype("<u4")
             for place in range(4):
-                level[...] = steps.view(np.uint8)[:, place::4]
+                level = steps.view(np.uint8)[:, place::4]
                 if level.any():
                     self._fill(level, level, part)
                     total += np.float32(sign * 256**place / BACKGROUND_STEPS) * part
@@ -166,7 +153,7 @@ class FrontEnd:
         grid = self.grid
         top, left = grid.origin
         reach = grid.side * grid.binning
-        return bool(is_blank(_read_only(raw), top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
+        return bool(is_blank(_readable(raw), top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the flat, whose middle is the bundle's centre, on the grid."""
@@ -180,9 +167,12 @@ class FrontEnd:
         return binned
 
 
-def _read_only(frame: NDArray[Any]) -> NDArray[Any]:
-    """Return a read-only frame, as those of a file are, without gaps: kernels are compiled for one kind of array."""
-    view = np.ascontiguousarray(frame).view()
+def _readable(frame: NDArray[Any]) -> NDArray[Any]:
+    """Return a frame as kernels are compiled for: read-only, as those of a file are, and without gaps.
+
+    Numbers that no camera delivers become float32.
+    """
+    view = np.ascontiguousarray(frame, frame.dtype if frame.dtype in CAMERA_KINDS else np.float32).view()
     view.flags.writeable = False
     return view
 
@@ -198,32 +188,23 @@ def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return smooth
 
 
-class _Binning:
-    """Weight of one view, and the map from camera pixels counted from the grid's corner to its pixels of the frame."""
-
-    def __init__(self, grid: Grid, from_confocal: NDArray[np.float64], weight: float) -> None:
-        self.weight = weight
-        self.matrix = from_confocal.copy()
-        self.matrix[:, 2] += from_confocal[:, :2] @ grid.origin
-
-
 def _seen(
-    grid: Grid, views: tuple[_Binning, _Binning], frame_shape: tuple[int, int]
+    grid: Grid, views: list[NDArray[np.float64]], frame_shape: tuple[int, int]
 ) -> tuple[int, int, int, int] | None:
-    """Return the part of the grid that lies within the frame in the views that are read; None if the whole disc does.
+    """Return the part of the grid that lies within the frame in all views; None if the whole disc does.
 
     Raises
     ------
     CalibrationError
         If less than :data:`MIN_SEEN` of the disc's height or width does.
     """
-    first, last = grid.spans(1.0)
-    ends = np.flatnonzero(last > first)
-    # the disc is convex, and so is the frame: the ends of its rows decide
-    if _within(grid, views, frame_shape, np.tile(ends, 2), np.r_[first[ends], last[ends] - 1]).all():
+    rows, cols = np.nonzero(lit_pixels(*grid.spans(1.0)))
+    within, q = np.ones(len(rows), bool), grid.binning
+    for view, u, v in itertools.product(views, (0, q - 1), (0, q - 1)):
+        at = np.floor(view @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
+        within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
+    if within.all():
         return None
-    rows, cols = np.nonzero(lit_pixels(first, last))
-    within = _within(grid, views, frame_shape, rows, cols)
     mask = np.ones((grid.side, grid.side), bool)
     mask[rows, cols] = within
     top, bottom, left, right = rectangle_within(mask)
@@ -235,17 +216,3 @@ def _seen(
             "record a larger region, or locate the bundle views again",
         )
     return top, bottom, left, right
-
-
-def _within(
-    grid: Grid, views: tuple[_Binning, _Binning], frame_shape: tuple[int, int], rows: Indices, cols: Indices
-) -> NDArray[np.bool_]:
-    """Return True for pixels of the grid that lie within the frame in the views that are read."""
-    within, q = np.ones(len(rows), bool), grid.binning
-    for view in views:
-        if not view.weight:
-            continue
-        for u, v in ((0, 0), (0, q - 1), (q - 1, 0), (q - 1, q - 1)):
-            at = np.floor(view.matrix @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
-            within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
-    return within

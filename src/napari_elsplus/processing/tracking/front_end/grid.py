@@ -6,7 +6,7 @@ takes them for structure that moved less than the probe. Such bundles are binned
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import acos, ceil, floor, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -94,56 +94,55 @@ class Grid:
         if spacing_px > MAX_SPACING_PX * binning:
             binning = round(spacing_px / SPACING_PX)
         side = 4 * ceil((bundle.diameter_px / binning + 2) / 4)
-        origin = tuple(floor(c - (side * binning - 1) / 2 + 0.5) for c in bundle.confocal_centre)
-        centre = tuple(
-            (c - o - (binning - 1) / 2) / binning for c, o in zip(bundle.confocal_centre, origin, strict=True)
-        )
+        row, col = bundle.confocal_centre
+        top, left = (floor(c - (side * binning - 1) / 2 + 0.5) for c in (row, col))
         rows = calibration.optics.line_periods_per_frame if calibration.optics is not None else None
-        shutter = RollingShutter(np.inf if rows is None else rows / binning)
-        return cls(side, binning, (origin[0], origin[1]), (centre[0], centre[1]), bundle.diameter_px / binning, shutter)
+        shutter = RollingShutter(np.inf if rows is None else rows)
+        camera = cls(side * binning, 1, (top, left), (row - top, col - left), bundle.diameter_px, shutter)
+        return camera.binned(binning)
 
-    def spans(self, field: float = FIELD, level: int = 0) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def binned(self, by: int) -> Grid:
+        """Return the grid of pixels so many times larger, cut off where its side is no multiple of them.
+
+        Only those of its pixels count as seen that lie within the frame as a whole.
+
+        Parameters
+        ----------
+        by : int
+            Pixels of this grid per pixel of that one, in both directions.
+        """
+        row, col = ((c - (by - 1) / 2) / by for c in self.centre)
+        seen = self.seen
+        if seen is not None:
+            seen = -(-seen[0] // by), seen[1] // by, -(-seen[2] // by), seen[3] // by
+        return replace(
+            self, side=self.side // by, binning=self.binning * by, centre=(row, col), diameter=self.diameter / by,
+            shutter=RollingShutter(self.shutter.line_periods_per_frame / by), seen=seen,
+            line_offset=self.line_offset / by,
+        )  # fmt: skip
+
+    def spans(self, field: float = FIELD) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """First column of each row inside the central part of the disc, and the one after the last.
 
         Parameters
         ----------
         field : float
             Part of the diameter.
-        level : int
-            How often the grid was halved.
         """
-        side, scale = self.side >> level, 2.0**level
-        row, col = ((c - (scale - 1) / 2) / scale for c in self.centre)
-        radius = 0.5 * field * self.diameter / scale
-        y = np.arange(side) - row
+        side, (row, col) = self.side, self.centre
+        radius, rows = 0.5 * field * self.diameter, np.arange(side)
+        y = rows - row
         half = np.sqrt(np.maximum(radius**2 - y**2, 0))
-        top, bottom, left, right = self.seen_at(level)
-        rows = np.arange(side)
+        top, bottom, left, right = self.seen or (0, side, 0, side)
         lit = (np.abs(y) < radius) & (rows >= top) & (rows < bottom)
         if self.line_offset:
-            reach, y_line = 0.5 * LINE_FIELD * self.diameter / scale, y + self.line_offset / scale
+            reach, y_line = 0.5 * LINE_FIELD * self.diameter, y + self.line_offset
             half = np.minimum(half, np.sqrt(np.maximum(reach**2 - y_line**2, 0)))
             lit &= np.abs(y_line) < reach
         first = np.where(lit, np.maximum(np.ceil(col - half), left), 0)
         last = np.where(lit, np.minimum(np.floor(col + half) + 1, right), 0)
         inside = np.clip(first, 1, side - 1), np.clip(last, 1, side - 1)
         return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
-
-    def seen_at(self, level: int = 0) -> tuple[int, int, int, int]:
-        """Return :attr:`seen` on the grid halved `level` times: pixels all of which lie within the frame."""
-        top, bottom, left, right = (0, self.side, 0, self.side) if self.seen is None else self.seen
-        return -(-top >> level), bottom >> level, -(-left >> level), right >> level
-
-    def middle(self, level: int = 0) -> float:
-        """Row of the bundle's centre on the grid halved so often.
-
-        Parameters
-        ----------
-        level : int
-            Level of the pyramid: 0 is full resolution, each next one half of it.
-        """
-        scale = 2.0**level
-        return (self.centre[0] - (scale - 1) / 2) / scale
 
 
 def _core_spacing_px(flat: NDArray[np.float32] | None, diameter_px: float) -> float:

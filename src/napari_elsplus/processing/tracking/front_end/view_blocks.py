@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
     Matrix = NDArray[np.float64]
 
-_HELD: Final = 2 * ROWS
+HELD: Final = 2 * ROWS
 """Rows that are held at a time."""
 
 
@@ -41,18 +41,16 @@ class ViewBlocks(NamedTuple):
         Their changes from pixel to pixel of the grid.
     first : numpy.ndarray
         (groups + 1,) int64: first block of each group, and the number of blocks.
-    cleared : numpy.ndarray
-        Elements of the memory of rows from which a vector is cleared, as a row replaces a wider one.
-    first_cleared : numpy.ndarray
-        (groups + 1,) int64: the first of them for each group, and their number.
+    ends : numpy.ndarray
+        (rows, 2) int64: elements of the memory of rows of the first pixel of each row and after its last, those of the
+        row that it replaces :data:`HELD` before.
     """
 
     places: NDArray[np.int32]
     fractions: NDArray[np.float32]
     slopes: tuple[np.float32, np.float32]
     first: Indices
-    cleared: Indices
-    first_cleared: Indices
+    ends: Indices
 
 
 def view_blocks(
@@ -80,7 +78,7 @@ def view_blocks(
     first_lit, last_lit = (span.astype(int) for span in spans)
     side = len(first_lit)
     rows, cols = np.nonzero((np.arange(side) >= first_lit[:, None]) & (np.arange(side) < last_lit[:, None]))
-    memory = (rows + ROWS // 2) % _HELD * WIDTH + MARGIN + cols
+    memory = (rows + ROWS // 2) % HELD * WIDTH + MARGIN + cols
     corners = np.stack([_corners(view, binning, rows, cols) for view in (confocal, residual)])
     whole = np.floor(corners)
     elements = (frame_shape[1] * whole[:, 0] + whole[:, 1]).astype(int)
@@ -105,20 +103,20 @@ def view_blocks(
     slopes = binning * (residual[:, 1] - (0.0, 1.0))
     fractions = (corners[1] - whole[1])[:, begin] + slopes[:, None] * (start - begin)
     groups = np.arange(-ROWS // 2, side + ROWS, ROWS)
-    cleared, first_cleared = _cleared(first_lit, last_lit)
+    held = np.pad(np.stack([first_lit, last_lit], axis=1), ((HELD + ROWS // 2, ROWS // 2), (0, 0)))
+    ends = held + (np.arange(len(held)) % HELD * WIDTH + MARGIN)[:, None]
     return ViewBlocks(
         np.pad(places, ((0, AHEAD), (0, 0)), mode="edge"),
         np.ascontiguousarray(fractions.T, np.float32),
         (np.float32(slopes[0]), np.float32(slopes[1])),
         np.searchsorted(rows[begin], groups),
-        cleared,
-        first_cleared,
+        ends,
     )
 
 
 def scratch() -> NDArray[np.float32]:
     """Return the memory of rows."""
-    return aligned_zeros(_HELD * WIDTH + BLOCK)
+    return aligned_zeros(HELD * WIDTH + BLOCK)
 
 
 def interleaved(scale: NDArray[np.float32], offset: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -136,20 +134,3 @@ def _corners(view: Matrix, binning: int, rows: Indices, cols: Indices) -> NDArra
     half = 0.5 * (binning - 1)
     corners: NDArray[np.float64] = view @ np.stack([binning * rows + half, binning * cols + half, np.ones(len(rows))])
     return corners - half
-
-
-def _cleared(first: Indices, last: Indices) -> tuple[Indices, Indices]:
-    """Return :attr:`ViewBlocks.cleared` and :attr:`ViewBlocks.first_cleared`."""
-    cleared: list[int] = []
-    numbers = [0]
-    held = [(0, 0)] * _HELD
-    for place in range(len(first) + ROWS):
-        row, slot = place - ROWS // 2, place % _HELD
-        left, right = held[slot]
-        begin, end = (int(first[row]), int(last[row])) if 0 <= row < len(first) else (right, right)
-        for gone in (range(left, min(begin, right), VECTOR), range(max(end, left), right, VECTOR)):
-            cleared += [slot * WIDTH + MARGIN + col for col in gone]
-        held[slot] = begin, end
-        if place % ROWS == ROWS - 1:
-            numbers.append(len(cleared))
-    return np.array(cleared, np.intp), np.array(numbers)

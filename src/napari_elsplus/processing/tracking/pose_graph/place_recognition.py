@@ -91,9 +91,8 @@ class PlaceRecognition(MaskedCorrelation):
             Of the probe, radians.
         """
         matrix = turned_by(angle) @ unsheared(velocity, self._grid.shutter.line_periods_per_frame)
-        px, cells = 2**_LEVEL, len(self._mask)
-        row, col = ((c - (px - 1) / 2) / px for c in self._grid.centre)
-        image = upright(view.levels[_LEVEL], self._upright, (row, col), matrix)
+        image = upright(view.levels[_LEVEL], self._upright, self._grid.binned(2**_LEVEL).centre, matrix)
+        cells = len(self._mask)
         used = cells * (CELL_PX >> _LEVEL)
         small = cv2.resize(image[:used, :used], (cells, cells), interpolation=cv2.INTER_AREA)
         return self.prepare(high_passed(small, self._mask, _HIGH_PASS_CELLS))

@@ -25,7 +25,7 @@ from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     solve,
     tone_between,
 )
-from napari_elsplus.processing.tracking.registration.odds import in_pixels_of
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, in_pixels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -170,25 +170,21 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
 
 @lean_kernel
 def score_rotation(
-    pair: FramePair, column: float, warp: Warp, px: float, stiffness: tuple[float, float], correlated_px: float,
-    turn: tuple[float, float], work: Workspace, found: Matrix,
+    pair: FramePair, column: float, warp: Warp, stiffness: tuple[float, float], turn: tuple[float, float],
+    work: Workspace, found: Matrix,
 ) -> bool:  # fmt: skip
     """Estimate what a rotation would add to a warp; return False where the frames do not overlap or show nothing.
 
     Parameters
     ----------
     pair : FramePair
-        Frames that are compared.
+        Frames at half resolution.
     column : float
-        Column of the bundle's centre.
+        Column of the bundle's centre in them.
     warp : Warp
         In pixels of full resolution.
-    px : float
-        Pixels of full resolution per pixel of these images.
     stiffness : tuple of float
         Information on a and s that is there beforehand.
-    correlated_px : float
-        Pixels of these images that share one noise value.
     turn : tuple of float
         Rotation that is expected, radians, and its standard deviation.
     work : Workspace
@@ -197,10 +193,10 @@ def score_rotation(
         (7,) float64, filled: the fields of :class:`Remainder`.
     """
     normal, right, tone = work.normal, work.right, work.tone
-    there = in_pixels_of(px, warp)
+    there = in_pixels_of(2.0, warp)
     tone[0], tone[1] = tone_between(pair, there, _SCORED.tone_step)
     count, template_sum, image_sum, _, noise = accumulate(pair, there, _SCORED.row_step, _SCORED.finely, work)
-    noise *= correlated_px
+    noise *= CORRELATED_PX / 4
     if not (noise > 0 and template_sum > 0 and image_sum > 0):
         return False
     _add_rotation(pair, column, there, work)
@@ -212,8 +208,9 @@ def score_rotation(
     right[UNKNOWNS] += turn[0] * of_prior
     if not solve(normal, right, TONE, work.schur):
         return False
-    found[0], found[1], found[2], found[3] = right[TONE], right[TONE + 1] * px, right[TONE + 2], right[TONE + 3] * px
-    found[4], found[5], found[6] = right[UNKNOWNS], np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS]), count / correlated_px
+    found[0], found[1], found[2], found[3] = right[2], 2 * right[3], right[4], 2 * right[5]
+    found[4], found[5] = right[UNKNOWNS], np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS])
+    found[6] = count / (CORRELATED_PX / 4)
     return True
 
 

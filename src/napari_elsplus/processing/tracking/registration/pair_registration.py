@@ -17,7 +17,7 @@ from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
-from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, weakest_direction
+from napari_elsplus.processing.tracking.registration.odds import weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, register
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
@@ -67,7 +67,7 @@ class PreparedFrame:
 
     @property
     def levels(self) -> tuple[NDArray[np.float32], ...]:
-        """The image, and its high-passed halves and quarters."""
+        """The image, its high-passed halves and quarters, and the image high-passed."""
         return self.arrays.images
 
     def renew(self) -> None:
@@ -205,9 +205,10 @@ class Registrar:
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
-        self._lit, self._turning = grid.spans(level=1), grid.spans(TURNING_FIELD, level=1)
-        self._middle, self._column = grid.middle(1), (grid.centre[1] - 0.5) / 2
-        self._everywhere = ShiftSearch(*grid.spans(level=LEVELS - 1), 2.0 ** (LEVELS - 1))
+        half, coarsest_px = grid.binned(2), 2 ** (LEVELS - 1)
+        self._lit, self._turning = half.spans(), half.spans(TURNING_FIELD)
+        self._middle, self._column = half.centre
+        self._everywhere = ShiftSearch(*grid.binned(coarsest_px).spans(), coarsest_px)
         self._tools = Tools.of(grid, lit)
         self._found = np.empty(10)
         self._scratch = self.view()
@@ -271,7 +272,7 @@ class Registrar:
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
-                view.coarse = self._everywhere.of_frame(view.levels[-1])
+                view.coarse = self._everywhere.of_frame(view.levels[LEVELS - 1])
         return motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
 
     def remainder(
@@ -301,8 +302,7 @@ class Registrar:
         """
         stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
         if not _score_rotation(
-            self._halves(earlier, later, rim=rim), self._column, warp, 2.0, stiffness, CORRELATED_PX / 4, turn,
-            self._tools.work, found,
+            self._halves(earlier, later, rim=rim), self._column, warp, stiffness, turn, self._tools.work, found
         ):  # fmt: skip
             return None
         a, b, s, d, angle, sigma, values, *_ = found.tolist()
@@ -355,7 +355,7 @@ class Registrar:
         jerk_sigma : float
             Standard deviation of the change of the acceleration between the frames, pixels per squared frame period.
         """
-        found = align_unevenly(self._halves(earlier, later), motion, link.warp, jerk_sigma, CORRELATED_PX / 4)
+        found = align_unevenly(self._halves(earlier, later), motion, link.warp, jerk_sigma)
         if found is None:
             return None
         warp, link = found[0], link._replace(information=found[1])

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
 
 LEVELS: Final = 3
+HIGH_PASSED: Final = LEVELS
+"""Index of the high-passed image of full resolution among the images of a frame: after those of all levels."""
 HIGH_PASS_PX: Final = 8.0
 """Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
 _REACH: Final = 5
@@ -37,25 +39,23 @@ class Levels(NamedTuple):
     Parameters
     ----------
     images : tuple of numpy.ndarray
-        (n, n) float32 at full, half and quarter resolution; the latter two are high-passed.
+        (n, n) float32 at full, half and quarter resolution, of which the latter two are high-passed; and the image of
+        full resolution, high-passed: :data:`HIGH_PASSED`.
     smooth : numpy.ndarray
         (n, n) float32: what is smooth at half resolution.
-    high_passed : numpy.ndarray
-        (n, n) float32: the image, high-passed.
     filled : numpy.ndarray
         (2,) bool: the coarser images, and the high-passed one, are filled.
     """
 
     images: tuple[Image, ...]
     smooth: Image
-    high_passed: Image
     filled: NDArray[np.bool_]
 
     @classmethod
     def of(cls, side: int) -> Levels:
         """Return those of an image of so many rows and columns, `side`."""
-        images = tuple(np.zeros((side >> level, side >> level), np.float32) for level in range(LEVELS))
-        return cls(images, np.zeros_like(images[1]), np.zeros_like(images[0]), np.zeros(2, np.bool_))
+        images = tuple(np.zeros((side >> level, side >> level), np.float32) for level in (*range(LEVELS), 0))
+        return cls(images, np.zeros_like(images[1]), np.zeros(2, np.bool_))
 
 
 class Pyramid(NamedTuple):
@@ -98,7 +98,7 @@ class Pyramid(NamedTuple):
         field : float
             Part of the diameter: dark pixels beyond it would leave a static rim.
         """
-        lit = tuple(lit_pixels(*grid.spans(field, level)) for level in range(LEVELS))
+        lit = tuple(lit_pixels(*grid.binned(2**level).spans(field)) for level in range(LEVELS))
         gaussian = cv2.getGaussianKernel(2 * _REACH + 1, HIGH_PASS_PX / 2 ** (LEVELS - 1), cv2.CV_32F)
         inside = lit[-1].astype(np.float32)
         size = len(inside)
@@ -126,7 +126,7 @@ def fill_levels(frame: Levels, pyramid: Pyramid) -> None:
     """
     if frame.filled[0]:
         return
-    image, half, quarter = frame.images
+    image, half, quarter, _ = frame.images
     halve(image, pyramid.half)
     halve(pyramid.half, quarter)
     smooth_within(quarter, pyramid)
@@ -142,7 +142,7 @@ def high_pass(frame: Levels, pyramid: Pyramid) -> None:
     if frame.filled[1]:
         return
     double(frame.smooth, pyramid.lines, pyramid.fine)
-    subtract_within(frame.images[0], pyramid.fine, pyramid.lit[0], frame.high_passed)
+    subtract_within(frame.images[0], pyramid.fine, pyramid.lit[0], frame.images[HIGH_PASSED])
     frame.filled[1] = True
 
 

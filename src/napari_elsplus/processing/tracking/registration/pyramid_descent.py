@@ -32,7 +32,14 @@ from napari_elsplus.processing.tracking.registration.odds import (
     weakest_direction,
     write_prior,
 )
-from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, Pyramid, fill_levels, high_pass
+from napari_elsplus.processing.tracking.registration.pyramid import (
+    HIGH_PASSED,
+    LEVELS,
+    Levels,
+    Pyramid,
+    fill_levels,
+    high_pass,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +48,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
 
     Array = NDArray[np.float64]
-    Images = tuple[NDArray[np.float32], ...]
 
 SHARP_PX: Final = 0.04
 """Uncertainty of a shift at half resolution, pixels, below which structure constrains it in every direction; noise
@@ -67,11 +73,11 @@ class Tools(NamedTuple):
 
     Parameters
     ----------
-    lit : numpy.ndarray
-        (LEVELS + 1, 2, n) int32: first lit column of each row, and the one after the last, at each level; and at full
-        resolution without the rim.
+    lit : tuple of tuple of numpy.ndarray
+        For each image of a frame, (n,) int32: first column of each row that is compared, and the one after the last;
+        without the rim in the image that is not high-passed.
     middles : tuple of float
-        Row of the bundle's centre at each level.
+        Row of the bundle's centre in each image.
     diameter : float
         Of the disc that is compared, pixels of full resolution.
     pyramid : Pyramid
@@ -82,7 +88,7 @@ class Tools(NamedTuple):
         Scratch of Lucas-Kanade.
     """
 
-    lit: NDArray[np.int32]
+    lit: tuple[tuple[NDArray[np.int32], NDArray[np.int32]], ...]
     middles: tuple[float, ...]
     diameter: float
     pyramid: Pyramid
@@ -92,31 +98,26 @@ class Tools(NamedTuple):
     @classmethod
     def of(cls, grid: Grid, field: float) -> Tools:
         """Return those for frames on a grid that are lit in a part of the diameter, `field`."""
-        lit = np.zeros((LEVELS + 1, 2, grid.side), np.int32)
-        spans = *(grid.spans(level=level) for level in range(LEVELS)), grid.spans(INNER_FIELD)
-        for columns, span in zip(lit, spans, strict=True):
-            columns[:, : len(span[0])] = span
-        middles = tuple(grid.middle(level) for level in range(LEVELS))
-        diameter = FIELD * grid.diameter
-        return cls(lit, middles, diameter, Pyramid.of(grid, field), blocks(grid.side), Workspace.of(grid.side))
+        half, quarter = grid.binned(2), grid.binned(4)
+        lit = grid.spans(INNER_FIELD), half.spans(), quarter.spans(), grid.spans()
+        middles = tuple(one.centre[0] for one in (grid, half, quarter, grid))
+        scratch = blocks(grid.side), Workspace.of(grid.side)
+        return cls(lit, middles, FIELD * grid.diameter, Pyramid.of(grid, field), *scratch)
 
 
 @lean_kernel
-def pair_at(level: int, lit: int, earlier: Images, later: Images, tools: Tools) -> FramePair:
-    """Return two frames at a level of their pyramids.
+def pair_of(which: int, earlier: Levels, later: Levels, tools: Tools) -> FramePair:
+    """Return one image of each of two frames, to be compared.
 
     Parameters
     ----------
-    level : int
-        The level.
-    lit : int
-        Which lit columns are compared: the level's, or those without the rim.
+    which : int
+        A level of their pyramids, or :data:`~.pyramid.HIGH_PASSED`.
     earlier, later, tools
-        As of :func:`descend`.
+        As of :func:`register`.
     """
-    side = len(earlier[level])
-    first, last = tools.lit[lit, 0, :side], tools.lit[lit, 1, :side]  # contiguous, as all other frame pairs are
-    return FramePair(earlier[level], later[level], first, last, tools.middles[level])
+    first, last = tools.lit[which]
+    return FramePair(earlier.images[which], later.images[which], first, last, tools.middles[which])
 
 
 @lean_kernel
@@ -152,27 +153,19 @@ def register(
     begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
     first, end = _TO_HALF
     stages = first + 1 if begins_at_half else first, end
-    correlation, count, warp = descend(
-        earlier.images, later.images, stages, False, expected, terms, warp, information, tools
-    )
+    correlation, count, warp = descend(earlier, later, stages, True, expected, terms, warp, information, tools)
     odds = -np.inf
     if correlation > 0 and 2 * weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
-        correlation, count, warp = descend(
-            earlier.images, later.images, _SHARP, True, expected, terms, warp, information, tools
-        )
+        correlation, count, warp = descend(earlier, later, _SHARP, True, expected, terms, warp, information, tools)
         odds = _odds_against_unrelated(correlation, count)
     elif correlation > 0:
         # noise is more than that: all that is lit, without what is smooth
         high_pass(earlier, tools.pyramid)
         high_pass(later, tools.pyramid)
-        (_, half, quarter), (_, later_half, later_quarter) = earlier.images, later.images
-        correlation, count, warp = descend(
-            (earlier.high_passed, half, quarter), (later.high_passed, later_half, later_quarter), _UNSHARP, False,
-            expected, terms, warp, information, tools,
-        )  # fmt: skip
+        correlation, count, warp = descend(earlier, later, _UNSHARP, False, expected, terms, warp, information, tools)
         if correlation > min_correlation:
-            pair = pair_at(1, 1, earlier.images, later.images, tools)
+            pair = pair_of(1, earlier, later, tools)
             odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
             odds = min(odds, _odds_against_unrelated(correlation, count))
     velocity, variance, of_stretch, of_shift = velocity_given(prior, warp)
@@ -206,19 +199,19 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
 
 @lean_kernel
 def descend(
-    earlier: Images, later: Images, stages: tuple[int, int], without_rim: bool, expected: Warp, terms: Terms,
+    earlier: Levels, later: Levels, stages: tuple[int, int], sharp: bool, expected: Warp, terms: Terms,
     warp: Warp, information: Array, tools: Tools,
 ) -> tuple[float, float, Warp]:  # fmt: skip
     """Refine a warp by some stages of the pyramid.
 
     Parameters
     ----------
-    earlier, later : tuple of numpy.ndarray
-        Frames at full, half and quarter resolution, (n, n) float32.
+    earlier, later : Levels
+        Frames.
     stages : tuple of int
         The first of them, and the one after the last.
-    without_rim : bool
-        Leave out the rim at full resolution.
+    sharp : bool
+        Compare frames of full resolution as they are, without the rim; else high-passed, all that is lit.
     expected : Warp
         That the motion prior expects, pixels of full resolution.
     terms : tuple of float
@@ -246,7 +239,7 @@ def descend(
         px = 2.0**level
         write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiffness)
         centre, scaled = in_pixels_of(px, expected), in_pixels_of(px, warp)
-        pair = pair_at(level, LEVELS if without_rim else level, earlier, later, tools)
+        pair = pair_of(level if sharp or level else HIGH_PASSED, earlier, later, tools)
         if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
             work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
         begun = level

@@ -22,7 +22,7 @@ from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     complete,
     tone_between,
 )
-from napari_elsplus.processing.tracking.registration.odds import in_pixels_of, prior_terms, write_prior
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, in_pixels_of, prior_terms, write_prior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,9 +43,7 @@ J of columns."""
 _OF_WARP, _OF_JERK = TONE + np.array([0, 1, 3, 4]), TONE + np.array([2, 5])
 
 
-def align_unevenly(
-    pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma: float, correlated_px: float
-) -> tuple[Warp, Array] | None:
+def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma: float) -> tuple[Warp, Array] | None:
     """Refine a warp from frames at half resolution, J estimated besides; None where they do not constrain it.
 
     Parameters
@@ -58,8 +56,6 @@ def align_unevenly(
         That they were registered by, pixels of full resolution.
     jerk_sigma : float
         Standard deviation of the prior of J in each axis, pixels of full resolution per squared frame period.
-    correlated_px : float
-        Pixels at half resolution that share one noise value.
 
     Returns
     -------
@@ -79,7 +75,7 @@ def align_unevenly(
     values[:TONE] = mean[:TONE] = tone_between(pair, start, _STEPS.tone_step)
     square = 2 / motion.line_periods_per_frame**2
     for _ in range(_STEPS.steps):
-        noise = correlated_px * _equations(pair, values, square, normal, right)
+        noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right)
         if not noise > 0:
             return None
         try:
