@@ -14,8 +14,11 @@ from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
 from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
+from napari_elsplus.simulation.specimen.trajectories import Spiral, Turning
 from recordings import Truth, fibres, record, texture
+from simulated import followed
 
 
 def seen_at(scene: np.ndarray, places: list[tuple[float, float]], speed: tuple[float, float] = (9.0, 14.0)) -> Truth:
@@ -25,7 +28,9 @@ def seen_at(scene: np.ndarray, places: list[tuple[float, float]], speed: tuple[f
     return replace(truth, frames=truth.frames[::2], positions=truth.positions[::2], starts=starts)
 
 
-def segments_of_one(truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0)) -> tuple[PoseGraph, np.ndarray]:
+def segments_of_one(
+    truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0), model: MotionModel = MotionModel.TRANSLATION
+) -> tuple[PoseGraph, np.ndarray]:
     """Return a graph of one segment for each frame, and the true positions, grid pixels."""
     front_end = FrontEnd(truths[0].calibration, truths[0].frames.shape[1:])
     registrar = Registrar(front_end.grid)
@@ -37,7 +42,7 @@ def segments_of_one(truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0
         front_end.image(frame, view.image)
         views.append(registrar.prepare(view))
         pose = Pose(number, 0.0, 0.0, velocity, 0.97, 0.1, TrackingState.TRACKED)
-        graph.add(Node(number, pose, 0.0, np.eye(2), 1.0))
+        graph.add(Node(number, pose, 0.0, np.eye(2), 1.0), model)
     graph.solve()
     return graph, np.concatenate([truth.positions for truth in truths]) / front_end.grid.binning
 
@@ -54,10 +59,11 @@ def test_segments_of_one_frame_that_overlap_are_joined() -> None:
     np.testing.assert_allclose(found, true - true[0], atol=0.15)
 
 
-def joined(scenes: list[np.ndarray], seed: int) -> int:
+def joined(scenes: list[np.ndarray], seed: int, model: MotionModel = MotionModel.TRANSLATION) -> int:
     """Return how many segments join frames of different scenes."""
     rng = np.random.default_rng(seed)
-    graph, _ = segments_of_one([seen_at(scene, list(map(tuple, rng.uniform(200, 400, (2, 2))))) for scene in scenes])
+    truths = [seen_at(scene, list(map(tuple, rng.uniform(200, 400, (2, 2))))) for scene in scenes]
+    graph, _ = segments_of_one(truths, model=model)
     scene = np.repeat(np.arange(len(scenes)), 2)
     segment = np.array([place.segment for place in places_of(graph)])
     return sum(len(set(scene[segment == one])) > 1 for one in set(segment))
@@ -71,6 +77,25 @@ def test_different_places_are_not_joined() -> None:
 @pytest.mark.parametrize("count", [6, 12, 60])
 def test_no_false_join_among_twenty_scenes_of_fibres(count: int) -> None:
     assert joined([fibres(600, count, seed) for seed in range(100, 120)], 2) == 0
+
+
+@pytest.mark.slow
+def test_a_view_of_one_fibre_that_resembles_another_once_it_is_turned_joins_nothing_alone() -> None:
+    assert joined([fibres(600, 12, seed) for seed in range(200, 220)], 200, MotionModel.RIGID) == 0
+
+
+def test_segments_between_which_the_probe_turned_are_joined() -> None:
+    """By 8 degrees while it was lost, of which a thumbnail tolerates half."""
+    path = Turning(Spiral(6000.0), 200.0)
+    seen = followed(path, "fibres", 64, dark=slice(40, 49))
+    poses, angle = seen.pipeline.poses, path.angles_rad(seen.times_s)
+    tracked = np.array([pose.state is TrackingState.TRACKED for pose in poses])
+    assert {poses[k].segment for k in np.flatnonzero(tracked)} == {0}
+    assert tracked.sum() >= 54
+    turned = np.array([pose.angle for pose in poses])
+    assert np.abs(np.rad2deg(turned - angle + angle[0]))[tracked].max() < 0.3
+    moved = (seen.positions_px - seen.positions_px[0]) @ turned_by(float(-angle[0])).T
+    assert np.abs(seen.found_px - moved)[tracked].max() < 1.5
 
 
 def test_a_thumbnail_finds_its_place_among_others_in_spite_of_motion() -> None:
@@ -88,6 +113,6 @@ def test_a_thumbnail_finds_its_place_among_others_in_spite_of_motion() -> None:
         return recognition.thumbnail(registrar.prepare(view), Velocity(*velocity), 0.0)
 
     others = {number: thumbnail(frame, (0.0, 0.0)) for number, frame in enumerate(there.frames)}
-    best = recognition.candidates(thumbnail(again.frames[0], (30.0, -25.0)), others, 3)[0]
+    best = recognition.candidates({0.0: thumbnail(again.frames[0], (30.0, -25.0))}, others, 3)[0]
     assert best.odds > 5
     assert abs(best.displacement - complex(*(again.positions[0] - there.positions[best.node]))) < 12

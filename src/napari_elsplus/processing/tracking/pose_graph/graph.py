@@ -46,6 +46,11 @@ solving then takes some 0.1 s."""
 _LANDMARK_SPACING: Final = 0.4
 """Distance between the nodes by which a segment is recognised, beside its ends, bundle diameters; chosen: a view within
 the segment overlaps one of them by half."""
+_TURN_STEP_RAD: Final = float(np.deg2rad(5.0))
+"""Step of the turns between segments at which a place is sought once rotation is modelled, and largest turn by which
+one edge joins them; chosen: thumbnails tolerate 3 degrees and more, and turned by more one fibre resembles any."""
+_TURN_STEPS: Final = 3
+"""Steps to either side; chosen: up to 15 degrees."""
 _DRIFT: Final = 0.01
 """Largest drift of a track, fraction of the path; chosen, ten times that of jerky recordings."""
 _GROWTH: Final = 1.25
@@ -264,13 +269,18 @@ class PoseGraph:
         others = {k: thumbnail for k, thumbnail in self._thumbnails.items() if groups[k] != groups[number]}
         edges: list[Edge] = []
         if others:
-            angle, thumbnail = self._orientation(number), self._thumbnail(number)
-            for other, _, displacement in self._recognition.candidates(thumbnail, others, MAX_CANDIDATES):
+            steps = 0 if self._model is MotionModel.TRANSLATION else _TURN_STEPS
+            turns = [_TURN_STEP_RAD * step for step in range(-steps, steps + 1)]
+            seen = {turn: self._thumbnail(number, turn) for turn in turns}
+            for other, turn, _, displacement in self._recognition.candidates(seen, others, MAX_CANDIDATES):
                 if groups[other] != groups[number]:
-                    turn = angle - self._orientation(other)
-                    expected = Edge(other, number, rect(1, -angle) * displacement, np.zeros((2, 2)), turn)
+                    angle, of_other = self._orientation(number), self._orientation(other)
+                    moved = rect(1, -angle - turn) * displacement
+                    expected = Edge(other, number, moved, np.zeros((2, 2)), angle + turn - of_other)
                     edge = self._register(expected, anywhere=True)
-                    edges += [] if edge is None else self._joined(edge)
+                    if edge is not None:
+                        sure = edge.sure and abs(edge.turn - angle + of_other) <= _TURN_STEP_RAD
+                        edges += self._joined(edge._replace(sure=sure))
         return edges
 
     def _joined(self, edge: Edge) -> list[Edge]:
@@ -318,10 +328,10 @@ class PoseGraph:
         if self._view(number) is not None and number not in self._thumbnails and not near.any():
             self._thumbnails[number] = self._thumbnail(number)
 
-    def _thumbnail(self, number: int) -> CoarseImage:
+    def _thumbnail(self, number: int, turn: float = 0.0) -> CoarseImage:
         view = self._view(number)
         assert view is not None
-        return self._recognition.thumbnail(view, self.nodes[number].pose.velocity, self._orientation(number))
+        return self._recognition.thumbnail(view, self.nodes[number].pose.velocity, self._orientation(number) + turn)
 
     def _orientation(self, number: int) -> float:
         """Return the angle of a node, radians, as if the probe had not turned between segments."""

@@ -8,6 +8,7 @@ all of thousands; only candidates are registered. The odds of a shift with corre
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
@@ -50,6 +51,8 @@ class Candidate(NamedTuple):
     ----------
     node : int
         Its number.
+    turn : float
+        By which this node's thumbnail was turned that resembles the other one most, radians.
     odds : float
         Log odds of the best shift against unrelated frames at all shifts, nats.
     displacement : complex
@@ -57,6 +60,7 @@ class Candidate(NamedTuple):
     """
 
     node: int
+    turn: float
     odds: float
     displacement: complex
 
@@ -97,24 +101,29 @@ class PlaceRecognition(MaskedCorrelation):
         small = cv2.resize(image[:used, :used], (cells, cells), interpolation=cv2.INTER_AREA)
         return self.prepare(high_passed(small, self._mask, _HIGH_PASS_CELLS))
 
-    def candidates(self, thumbnail: CoarseImage, others: Mapping[int, CoarseImage], limit: int) -> list[Candidate]:
+    def candidates(
+        self, seen: Mapping[float, CoarseImage], others: Mapping[int, CoarseImage], limit: int
+    ) -> list[Candidate]:
         """Return the nodes that probably show the place of a thumbnail, the most probable first.
 
         Parameters
         ----------
-        thumbnail : CoarseImage
-            Of the later node.
+        seen : mapping of float to CoarseImage
+            Thumbnails of the later node by the turn at which each was made, radians.
         others : mapping of int to CoarseImage
             Those of the nodes to compare it with.
         limit : int
             Largest number of candidates.
         """
-        found, here = [], thumbnail.as_template
-        for node, other in others.items():
+        found: dict[int, Candidate] = {}
+        templates = {turn: thumbnail.as_template for turn, thumbnail in seen.items()}
+        for (turn, here), (node, other) in product(templates.items(), others.items()):
             alike = np.clip(self.coefficients(here, other), 0.0, MAX_CORRELATION)
             likelihood = -self._half_values * np.log1p(-alike * alike)
             row, col = divmod(int(likelihood.argmax()), len(self.lags))
-            found.append(Candidate(node, float(likelihood[row, col]), CELL_PX * complex(*self.lags[[row, col]])))
-        tried = np.log(np.count_nonzero(self._half_values)) + np.log(max(len(others), 1))
-        best = sorted(found, key=lambda candidate: -candidate.odds)[:limit]
+            odds, before = float(likelihood[row, col]), found.get(node)
+            if before is None or odds > before.odds:
+                found[node] = Candidate(node, turn, odds, CELL_PX * complex(*self.lags[[row, col]]))
+        tried = np.log(np.count_nonzero(self._half_values)) + np.log(max(len(seen) * len(others), 1))
+        best = sorted(found.values(), key=lambda candidate: -candidate.odds)[:limit]
         return [one._replace(odds=one.odds - tried) for one in best if one.odds > tried]
