@@ -166,14 +166,34 @@ def test_findings_are_appended_to_a_report(monkeypatch, tmp_path) -> None:
 
 @pytest.mark.slow
 def test_a_rig_whose_program_is_killed_streams_again() -> None:
-    said = list(first_light.reopen("simulated", "240hz"))
-    assert said[0] == "a program that streamed was killed"
-    assert said[1].startswith("frames 2 to ")
+    done = run_check("reopen", "--rig", "simulated")
+    assert done.returncode == 0
+    said = done.stdout.splitlines()
+    assert said[1] == "a program that streamed was killed"
+    assert said[2].startswith("frames 2 to ")
 
 
-def test_a_check_fails_in_one_line() -> None:
-    command = [sys.executable, "-m", "napari_elsplus.diagnosis.first_light", "stream", "--rig", "nobodys"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+@pytest.mark.parametrize("check", ["stream", "reopen", "card"])
+def test_a_check_of_a_rig_that_does_not_exist_fails_in_one_line(check: str) -> None:
+    done = run_check(check, "--rig", "nobodys")
     assert done.returncode == 2
     assert done.stderr.strip().splitlines() == [done.stderr.strip()]
     assert "there is no rig 'nobodys'" in done.stderr
+
+
+def test_a_simulated_rig_has_no_card_to_check() -> None:
+    done = CliRunner().invoke(first_light.first_light, ["card", "--rig", "simulated"])
+    assert str(done.exception) == "the rig simulated is simulated: name one whose file has a card"
+
+
+def test_a_report_that_cannot_be_written_is_said_in_one_line(tmp_path) -> None:
+    done = run_check("--report", str(tmp_path / "missing" / "report.txt"), "stream")
+    assert done.returncode == 2
+    assert done.stderr.startswith("first_light: ")
+    assert "Traceback" not in done.stderr
+
+
+def run_check(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the checks as the documentation does."""
+    command = [sys.executable, "-m", "napari_elsplus.diagnosis.first_light", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

@@ -21,10 +21,10 @@ import numpy as np
 
 from napari_elsplus.diagnosis.first_light_card import dry_run, parked_waveform, parking
 from napari_elsplus.diagnosis.first_light_scan import lit_rig, mirror_step, strobe_phase
-from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.hardware.drivers import features_of
 from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
-from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, read_rig
+from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, rig_settings
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v import flea3
 from napari_elsplus.hardware.u3v.camera import U3vCamera
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.hardware.u3v.camera import Features
 
+MODULE: Final = "napari_elsplus.diagnosis.first_light"
+"""This module's name; ``__name__`` is another where it runs as a program."""
 SHARES: Final = (1.0, 0.5)
 """Shares of the sensor's rows in the two regions whose shortest frame periods give the line period."""
 SLIT_ROWS: Final = 3
@@ -174,10 +176,13 @@ def reopen(name: str, preset_name: str) -> Iterator[str]:
 
     Raises
     ------
+    InputError
+        If there is no such rig.
     DeviceError
         If the rig does not open, or no frame comes.
     """
-    command = [sys.executable, "-m", __name__, "stream", "--rig", name, "--preset", preset_name, "--seconds", "3600"]
+    rig_settings(name)  # a name that is wrong is refused here, and once
+    command = [sys.executable, "-m", MODULE, "stream", "--rig", name, "--preset", preset_name, "--seconds", "3600"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         began = any(line.startswith(STREAMING) for line in program.stdout)
@@ -259,11 +264,11 @@ CALIBRATION = click.option(
 SECONDS = click.option("--seconds", default=10.0, show_default=True)
 
 
-@click.group()
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--report", type=click.Path(path_type=Path), help="File to which the findings are appended, with date.")
 @click.pass_context
 def first_light(context: click.Context, report: Path | None) -> None:
-    """Check a rig; the galvo stays parked but for ``phase`` and ``step``."""
+    """Check a rig; the galvo stays parked but for `phase` and `step`."""
     context.obj = report
 
 
@@ -327,9 +332,9 @@ def _step(name: str, file: Path | None, mode: str) -> None:
 @click.option("--rig", "name", required=True, help="Name of a rig with a file.")
 def _card(name: str) -> None:
     """Run the scan's tasks without a camera; also for a card that NI's driver simulates."""
-    settings = read_rig(name)
+    settings = rig_settings(name)
     if not isinstance(settings, RigSettings):
-        raise InputError(f"the rig {name} is simulated", "name one with a card")
+        raise InputError(f"the rig {name} is simulated", "name one whose file has a card")
     _print(dry_run(settings.card_settings(), settings.limits()))
 
 
@@ -354,12 +359,15 @@ def _print(findings: Iterator[str]) -> None:
 
 
 def main() -> None:
-    """Run a check; an error is one line."""
+    """Run a check; an error, also Ctrl-C, is one line."""
     try:
-        first_light.main(standalone_mode=False)
-    except ElsPlusError as error:
-        click.echo(f"error: {error}", err=True)
+        first_light.main(prog_name="first_light", standalone_mode=False)
+    except (ElsPlusError, OSError) as error:
+        click.echo(f"first_light: {error_message(error)}", err=True)
         raise SystemExit(2) from None
+    except click.Abort:
+        click.echo("first_light: interrupted", err=True)
+        raise SystemExit(130) from None
     except click.ClickException as error:
         error.show()
         raise SystemExit(error.exit_code) from None
