@@ -154,7 +154,7 @@ def markdown(surveyed: list[Surveyed]) -> str:
     errors |= {f"{name} over the ideal rig's, less 1": [one.shares[name] for one in measured] for name in DISTANCES}
     for name, pairs in errors.items() if measured else ():
         off, stated = np.array(pairs).T
-        inside = [f"{100 * np.mean(np.abs(off) <= sigmas * stated):.0f} %" for sigmas in (1, 3)]
+        inside = [f"{100 * np.mean(np.abs(off) <= sigmas * stated):.1f} %" for sigmas in (1, 3)]
         lines.append(
             f"| {name} | {np.sqrt(np.mean(off**2)):.3g} | {np.abs(off).max():.3g} | {inside[0]} | {inside[1]} |"
         )
