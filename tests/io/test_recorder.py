@@ -54,6 +54,24 @@ def test_everything_that_was_recorded_is_read_back(tmp_path, dtype, shape):
         assert recording.calibration.background.mean() == 3.5
 
 
+def test_a_recording_without_frames_leaves_nothing(tmp_path):
+    RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8, calibration=CALIBRATION).close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_calibration_of_an_earlier_recording_stays_beside_a_new_one(tmp_path):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:
+        writer.append(np.zeros((30, 47), np.uint8), 0.0, 0)
+    path.unlink()
+    with pytest.raises(InputError, match=r"r\.calibration\.json exists"):
+        RecordingWriter(path, (30, 47), np.uint8)
+    with RecordingWriter(path, (30, 47), np.uint8, force=True) as writer:
+        writer.append(np.zeros((30, 47), np.uint8), 0.0, 0)
+    with open_recording(path) as recording:
+        assert recording.calibration is None
+
+
 def test_other_software_reads_it_too(tmp_path):
     path = tmp_path / "r.ome.tif"
     with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:

@@ -57,7 +57,8 @@ class RecordingWriter(ClosedOnExit):
     dtype : dtype-like
         uint8 or uint16.
     calibration : Calibration, optional
-        Active while recording; written beside, NAME.calibration.json, before the first frame.
+        Active while recording; written beside, NAME.calibration.json, before the first frame. Without one there is
+        no such file beside the recording either, which would be read as its own.
     settings : mapping, optional
         The rig's settings, kept in the OME-XML.
     force : bool
@@ -66,7 +67,7 @@ class RecordingWriter(ClosedOnExit):
     Raises
     ------
     InputError
-        If a file exists and `force` is not given, or the frames are not uint8 or uint16.
+        If either file exists and `force` is not given, or the frames are not uint8 or uint16.
 
     Examples
     --------
@@ -97,10 +98,12 @@ class RecordingWriter(ClosedOnExit):
         if self.dtype not in (np.uint8, np.uint16) or min(self.frame_shape) < 1:
             raise InputError(f"frames of {self.frame_shape}, {self.dtype}", "raw frames are uint8 or uint16, not empty")
         self._calibration, self._settings = calibration, dict(settings or {})
-        refuse_existing(self.path, force=force)
+        self._files = self.path, *(beside(self.path, f".calibration{ending}") for ending in (".json", ".npz"))
+        for file in self._files:
+            refuse_existing(file, force=force)
+        self._remove()
         if calibration is not None:
-            write_calibration(beside(self.path, ".calibration.json"), calibration, force=force)
-        self.path.unlink(missing_ok=True)
+            write_calibration(self._files[1], calibration)
         self._times_s: list[float] = []
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)
@@ -168,7 +171,7 @@ class RecordingWriter(ClosedOnExit):
             return
         self._close_file()
         if not self._times_s:
-            self.path.unlink()
+            self._remove()
             return
         try:
             ome.put_into_first_page(
@@ -206,7 +209,11 @@ class RecordingWriter(ClosedOnExit):
         if self._times_s:
             os.truncate(self.path, self._layout.start(len(self)))
         else:
-            self.path.unlink()
+            self._remove()
+
+    def _remove(self) -> None:
+        for file in self._files:
+            file.unlink(missing_ok=True)
 
     def _flush_each_second(self) -> None:
         due = time.monotonic() + FLUSH_PERIOD_S
