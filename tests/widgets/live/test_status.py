@@ -6,7 +6,9 @@ import shutil
 from pathlib import Path
 
 from napari_elsplus.acquisition.engine.status import RecordingState, Status
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.widgets.dock.status_line import rig_line
 from napari_elsplus.widgets.live.status import status_text
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
@@ -36,6 +38,25 @@ def test_rates_latency_losses_and_disk_are_stated(tmp_path: Path):
     for words in ("camera 240 Hz", "display 59 Hz", "latency", "lost: 3 recorder slow", "480 frames, 2.0 s"):
         assert words in text
     assert "10 min of disk space left" in text
+
+
+def test_a_parked_galvo_is_said_while_dark_frames_stream():
+    scanned = Calibration.parse({"galvo": GALVO})
+    parked = Status(live=True, park_state=ParkState(ParkStage.PARKED))
+    text = status_text(parked, scanned, 30.0, busy=False)
+    assert "the galvo is parked" in text
+    assert "press Stop, then Start" in text
+    assert "calibrate, or load a calibration" in status_text(parked, None, 30.0, busy=False)
+    driven = Status(live=True, scanning=True, park_state=ParkState(ParkStage.DRIVEN))
+    assert "parked" not in status_text(driven, scanned, 30.0, busy=False)
+    assert "galvo parked" in rig_line("simulated", parked)
+    assert "parked" not in rig_line("simulated", driven)
+
+
+def test_the_folder_of_a_recording_is_named(tmp_path: Path):
+    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=False)
+    text = status_text(Status(recording=recording), None, 0.0, busy=False)
+    assert f"<b>recorded</b> r.ome.tif: 480 frames, in {tmp_path}" in text
 
 
 def test_what_does_not_hold_any_more_is_said_with_its_reason():

@@ -95,6 +95,8 @@ def rig_line(rig: str | None, status: Status | None) -> str:
         doing = f"live, camera {status.camera_hz:.0f} Hz" if isfinite(status.camera_hz) else "live"
     else:
         doing = "connected, not streaming"
+    if status.live and status.park_state.parked:
+        doing += "; galvo parked"
     recording = status.recording
     if recording is not None and recording.running:
         doing += f"; recording {Path(recording.path).name}"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
+from html import escape
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.widgets.shared.calibration_state import calibration_lines
+from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
 from napari_elsplus.widgets.shared.panel import next_hint
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ def status_text(
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
     ]
+    if status.park_state.parked:
+        scanned = calibration is not None and calibration.galvo is not None
+        remedy = "press Stop, then Start." if scanned else "calibrate, or load a calibration."
+        lines.append(f"{amber('the galvo is parked: frames are dark')} {next_hint(remedy)}")
     lines += _recorded(status)
     measures = status.measures
     sharpness = f", sharpness (relative) {measures.focus:.3g}" if isfinite(measures.focus) else ""  # none of the dark
@@ -66,7 +71,7 @@ def status_text(
 
 
 def _recorded(status: Status) -> list[str]:
-    """Return name, frames, duration and size of the newest recording, and the free disk space while it runs."""
+    """Return name, frames, duration, size and folder of the newest recording; while it runs, the free disk space."""
     recording = status.recording
     if recording is None:
         return []
@@ -76,7 +81,7 @@ def _recorded(status: Status) -> list[str]:
         parts.append(f"{recording.frames / status.camera_hz:.1f} s")
     with suppress(OSError):
         parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
-    line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}"
+    line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}"
     if running:
         left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60
         line += f"; {left:.0f} min of disk space left"
