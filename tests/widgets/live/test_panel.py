@@ -466,6 +466,24 @@ def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, t
     assert any(layer.metadata["elsplus"]["path"] == path for layer in images(viewer))
 
 
+def test_a_recording_that_is_opened_and_the_stream_take_each_others_place(viewer, panel, qtbot, said):
+    panel.form.frames.value = 3
+    start(panel, qtbot)
+    panel.form.record.native.click()
+    qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
+    stop(panel, qtbot)
+    panel.form.opening.native.click()
+    visible = [layer.name for layer in viewer.layers if layer.visible]
+    assert len(visible) == 1
+    assert visible[0].startswith("recording-")
+    recorded = Path(panel.connection.client.status.recording.path)
+    recorded.unlink()  # or moved away by the user
+    panel.form.opening.native.click()
+    assert str(recorded) in said()[-1][1]
+    start(panel, qtbot)
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+", "live titles"]
+
+
 def test_a_panel_imports_what_the_first_layers_need_before_they_are_created(make_napari_viewer_proxy, monkeypatch):
     begun = []
     monkeypatch.setattr("napari_elsplus.widgets.live.panel.import_ahead", lambda: begun.append(import_ahead()))

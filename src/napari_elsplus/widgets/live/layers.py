@@ -8,7 +8,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from napari.layers import Image, Points
+from napari.layers import Image, Layer, Points
 
 from napari_elsplus import __version__
 from napari_elsplus.acquisition.engine.live_images import RAW
@@ -60,11 +60,26 @@ class LiveLayers:
         self._titles: Points | None = None
         self._last_sequence = -1
         self._unscaled: set[str] = set()
+        self._begins = True
 
     @property
     def images(self) -> dict[str, Image]:
         """Layers that are in the viewer, by kind."""
         return {kind: layer for kind, layer in self._layers.items() if layer in self._viewer.layers}
+
+    def begin(self) -> None:
+        """Let the next arrangement hide what would be displayed through live images: a stream begins."""
+        self._begins = True
+
+    def hide(self) -> None:
+        """Hide live images and titles; the next stream displays them again."""
+        for layer in self._ours:
+            layer.visible = False
+
+    @property
+    def _ours(self) -> list[Layer]:
+        titles = [self._titles] if self._titles is not None and self._titles in self._viewer.layers else []
+        return [*self.images.values(), *titles]
 
     def arrange(
         self,
@@ -78,7 +93,7 @@ class LiveLayers:
     ) -> None:
         """Display the given kinds and hide the others; layers of the same kind and size are reused.
 
-        The first time, the viewer's other layers are hidden except mosaics, which move aside.
+        When a stream begins, the viewer's other layers are hidden except mosaics, which move aside.
 
         Parameters
         ----------
@@ -96,9 +111,9 @@ class LiveLayers:
             Name of the rig, for the metadata.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
-        others = [layer for layer in self._viewer.layers if layer not in self._layers.values()]
+        known = self._ours
+        others = [layer for layer in self._viewer.layers if layer not in known]
         axes = plane_axes(None if calibration is None else calibration.um_per_px, others)
-        first = not self.images
         corners: dict[str, tuple[float, float]] = {}
         left_px = 0
         for kind in KINDS:
@@ -127,12 +142,13 @@ class LiveLayers:
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
         self._arrange_titles(corners if side_by_side else {}, axes)
-        if first and self.images:
-            ours = {self._titles, *self.images.values()}
-            for other in self._viewer.layers:  # would be displayed through the live image
-                mosaic = MOSAIC in other.metadata.get("elsplus", ())
-                other.visible = other.visible and (mosaic or other in ours)
-            self._viewer.reset_view()
+        if self._begins and self.images:
+            self._begins = False
+            covering = [layer for layer in others if layer.visible and MOSAIC not in layer.metadata.get("elsplus", ())]
+            for layer in covering:
+                layer.visible = False
+            if covering or not known:
+                self._viewer.reset_view()
             self._viewer.canvas.overlays.scale_bar.visible = True
 
     def update(self, ring: Ring, *, whole: bool) -> Stamp | None:
@@ -185,6 +201,7 @@ class LiveLayers:
         data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), place)
         if self._titles is not None and self._titles in self._viewer.layers:
             self._titles.data, self._titles.features = data, attributes["features"]
+            self._titles.visible = True
             self._titles.scale, self._titles.units = place["scale"], place["units"]
         elif corners:
             self._titles = Points(data, **attributes)

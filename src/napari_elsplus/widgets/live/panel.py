@@ -116,7 +116,9 @@ class LivePanel(EnginePanel):
         client = self.connection.client
         recorded = None if client is None else client.status.recording
         if recorded is not None and not recorded.running:
-            self.viewer.open(recorded.path, plugin="napari-elsplus")
+            with notify_errors(self):
+                self.viewer.open(recorded.path, plugin="napari-elsplus")
+                self.layers.hide()
 
     def change_view(self) -> None:
         """Apply the form's processing to live images."""
@@ -175,6 +177,7 @@ class LivePanel(EnginePanel):
     def _start(self, client: EngineClient) -> None:
         self._faults_shown.clear()
         self._arranged = None
+        self.layers.begin()
         self.activate_calibration(client, lambda: self._calibrate_and_start(client))
 
     def _calibrate_and_start(self, client: EngineClient) -> None:
