@@ -72,6 +72,22 @@ def test_no_calibration_of_an_earlier_recording_stays_beside_a_new_one(tmp_path)
         assert recording.calibration is None
 
 
+def test_an_earlier_recording_stays_where_the_calibration_of_a_new_one_cannot_be_written(tmp_path, monkeypatch):
+    path = tmp_path / "r.ome.tif"
+    with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:
+        writer.append(frame(0), 0.0, 0)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("napari_elsplus.io.calibrations.np.savez_compressed", full)
+    with pytest.raises(OSError, match="No space left"):
+        RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION, force=True)
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal(recording[0], frame(0))
+        assert recording.calibration.background.mean() == 3.5
+
+
 def test_other_software_reads_it_too(tmp_path):
     path = tmp_path / "r.ome.tif"
     with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:

@@ -101,9 +101,11 @@ class RecordingWriter(ClosedOnExit):
         self._files = self.path, *(beside(self.path, f".calibration{ending}") for ending in (".json", ".npz"))
         for file in self._files:
             refuse_existing(file, force=force)
-        self._remove()
-        if calibration is not None:
-            write_calibration(self._files[1], calibration)
+        if calibration is None:
+            self._remove()
+        else:  # first: where it cannot be written, an earlier recording stays as it was
+            write_calibration(self._files[1], calibration, force=force)
+            self.path.unlink(missing_ok=True)
         self._times_s: list[float] = []
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)

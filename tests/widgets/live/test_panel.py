@@ -484,6 +484,18 @@ def test_a_recording_that_is_opened_and_the_stream_take_each_others_place(viewer
     assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+", "live titles"]
 
 
+def test_a_stream_that_another_panel_starts_takes_the_place_of_an_opened_recording(viewer, panel, qtbot):
+    panel.form.frames.value = 3
+    start(panel, qtbot)
+    panel.form.record.native.click()
+    qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
+    stop(panel, qtbot)
+    panel.form.opening.native.click()
+    panel.requests.follow(panel.connection.client.start())
+    live = ["live LS", "live ELS+", "live titles"]
+    qtbot.waitUntil(lambda: [layer.name for layer in viewer.layers if layer.visible] == live, timeout=30_000)
+
+
 def test_a_panel_imports_what_the_first_layers_need_before_they_are_created(make_napari_viewer_proxy, monkeypatch):
     begun = []
     monkeypatch.setattr("napari_elsplus.widgets.live.panel.import_ahead", lambda: begun.append(import_ahead()))

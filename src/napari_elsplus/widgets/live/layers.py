@@ -72,7 +72,8 @@ class LiveLayers:
         self._begins = True
 
     def hide(self) -> None:
-        """Hide live images and titles; the next stream displays them again."""
+        """Hide live images and titles; the next arrangement displays them again, in place of what covers them."""
+        self._begins = True
         for layer in self._ours:
             layer.visible = False
 

@@ -138,7 +138,9 @@ class LivePanel(EnginePanel):
         """Display the newest frame, if there is a new one."""
         client = self.connection.client
         now_s = time.perf_counter()
-        if client is not None and self.live and not self.canvas.pending:
+        if client is None or not client.status.live:
+            self._arranged = None  # the next stream, whichever panel starts it, displays its images again
+        elif self.live and not self.canvas.pending:
             self._show_newest(client, now_s)
         if now_s - self._status_at_s > STATUS_S:
             self._status_at_s = now_s
@@ -176,7 +178,6 @@ class LivePanel(EnginePanel):
 
     def _start(self, client: EngineClient) -> None:
         self._faults_shown.clear()
-        self._arranged = None
         self.layers.begin()
         self.activate_calibration(client, lambda: self._calibrate_and_start(client))
 
