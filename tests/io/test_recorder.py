@@ -134,11 +134,6 @@ def test_calibration_lies_beside_before_the_first_frame(tmp_path):
     writer.close()
 
 
-def test_nothing_recorded_leaves_no_recording(tmp_path):
-    RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8).close()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_wrong_frames_and_existing_files_are_refused(tmp_path):
     path = tmp_path / "r.ome.tif"
     with RecordingWriter(path, (30, 47), np.uint8) as writer:
