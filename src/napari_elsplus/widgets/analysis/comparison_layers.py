@@ -11,6 +11,7 @@ from napari.utils import Colormap
 
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes
+from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,8 +33,6 @@ _LINE_SHARE: Final = (0.15, 0.85)
 """Ends of the first line, fractions of an image's width; chosen, inside the bundle."""
 _MIN_LINE_SHARE: Final = 0.05
 """Shortest line that is drawn on purpose, fraction of an image's width; a click makes one of some pixels. Chosen."""
-_FILLED: Final = 0.95
-"""Share of the canvas that the images fill; chosen."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,9 @@ class ComparisonLayers:
         place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
         self._add_titles(images, place)
         self._add_line(place, line)
-        self._fit_camera(place["scale"])
+        camera = self._viewer.scene.camera
+        self._camera = (camera.center, camera.zoom)
+        fit_visible_layers(self._viewer)
 
     def end(self) -> None:
         """Remove the images and the line, and restore the user's layers."""
@@ -205,14 +206,6 @@ class ComparisonLayers:
         self._titles = Points(data, **attributes)
         self._titles.editable = False
         self._viewer.layers.append(self._titles)
-
-    def _fit_camera(self, scale: tuple[float, float]) -> None:
-        camera = self._viewer.scene.camera
-        self._camera = (camera.center, camera.zoom)
-        rows, cols = self._side * scale[0], (self._offsets_px[-1] + self._side) * scale[1]
-        height, width = self._viewer.canvas.size
-        camera.center = (rows / 2, cols / 2)
-        camera.zoom = _FILLED * min(height / rows, width / cols)
 
     def _add_line(self, place: dict[str, Any], line: Line | None) -> None:
         middle = (self._side - 1) / 2

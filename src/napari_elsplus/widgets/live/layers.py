@@ -18,6 +18,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES, titles_layer
 from napari_elsplus.widgets.shared.choosing import LIVE
+from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -149,7 +150,7 @@ class LiveLayers:
             for layer in covering:
                 layer.visible = False
             if covering or not known:
-                self._viewer.reset_view()
+                fit_visible_layers(self._viewer)
             self._viewer.canvas.overlays.scale_bar.visible = True
 
     def update(self, ring: Ring, *, whole: bool) -> Stamp | None:

@@ -20,6 +20,7 @@ from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 
@@ -119,6 +120,7 @@ class LivePanel(EnginePanel):
             with notify_errors(self):
                 self.viewer.open(recorded.path, plugin="napari-elsplus")
                 self.layers.hide()
+                fit_visible_layers(self.viewer)
 
     def change_view(self) -> None:
         """Apply the form's processing to live images."""

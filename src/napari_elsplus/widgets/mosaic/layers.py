@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from functools import partial
-from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,6 +17,7 @@ from napari_elsplus.viewing.mosaic.track import TrackDrawing
 from napari_elsplus.widgets.mosaic.map_layers import draw_maps, maps_visible
 from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, NAMES, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.mosaic.track_layers import draw_track
+from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 GAP_PX: Final = 40
 """Columns between mosaics, pixels of the mosaic; chosen."""
-_FILLED: Final = 0.9
-"""Share of the canvas that the mosaics fill; chosen."""
 
 
 class MosaicLayers:
@@ -233,11 +231,5 @@ class MosaicLayers:
         camera = self._viewer.scene.camera
         if self._camera is not None and (tuple(camera.center), camera.zoom) != self._camera:
             return
-        edges = np.array([layer.extent.world[:, -2:] for layer in self._viewer.layers if layer.visible])
-        low, high = edges[:, 0].min(axis=0), edges[:, 1].max(axis=0)
-        height, width = self._viewer.canvas.size
-        zoom = _FILLED * min(height / max(high[0] - low[0], 1e-9), width / max(high[1] - low[1], 1e-9))
-        if isfinite(zoom):
-            camera.center = tuple((low + high) / 2)
-            camera.zoom = zoom
+        fit_visible_layers(self._viewer)
         self._camera = (tuple(camera.center), camera.zoom)
