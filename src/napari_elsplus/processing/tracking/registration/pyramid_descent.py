@@ -62,7 +62,7 @@ _STAGES: Final = (
     (0, Iteration(6, 4, 0.1, True, 16)),
     (0, Iteration(2, 1, 0.0, True, 16)),
 )
-"""Down the pyramid: levels, and how each is registered; chosen, as docs/performance.md states. Every fourth row of half
+"""Down the pyramid: levels, and how each is registered; chosen, as docs/levers.md states. Every fourth row of half
 resolution suffices where structure is rich; elsewhere half resolution is repeated with every second."""
 _TO_HALF, _SHARP, _UNSHARP = (0, 2), (3, 5), (2, 5)
 """Which of the stages: those from a predicted shift to half resolution, and from there on."""
