@@ -36,6 +36,7 @@ ORDER = (
     "processing.tracking",
     "processing.mosaicing",
     "io.atomic",
+    "io.disk",
     "io.user_folders",
     "io.settings",
     "io.calibrations",

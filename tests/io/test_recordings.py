@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,6 +14,7 @@ import zarr
 
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import Recording, RecordingWriter, open_recording
+from napari_elsplus.io.formats import strided_tiff
 from videos import write_avi
 
 SHAPE = (7, 40, 64)
@@ -208,6 +210,30 @@ def test_a_recording_that_is_dropped_lets_go_of_its_file(tmp_path, frames, name)
     finally:
         gc.unfreeze()
     assert [str(warning.message) for warning in caught] == []
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system cannot be told what is read no more")
+def test_of_a_long_recording_only_frames_read_in_turn_leave_the_systems_memory(tmp_path, frames, monkeypatch):
+    released = []
+
+    def release(descriptor, start, length, advice):
+        assert advice == os.POSIX_FADV_DONTNEED
+        assert os.fstat(descriptor).st_size >= start + length
+        released.append(length)
+
+    many = np.concatenate([frames] * 10)
+    monkeypatch.setattr(os, "posix_fadvise", release)
+    monkeypatch.setattr(strided_tiff, "MAX_MAPPED_BYTES", 4 * frames[0].nbytes)
+    for name, part, step in (("in-turn", 0, 1), ("each-second", 0, 2), ("short", 1, 1)):
+        monkeypatch.setattr(strided_tiff, "MAX_CACHED_PART", part)
+        ours(tmp_path / name, many)
+        released.clear()  # the recorder's own
+        with open_recording(tmp_path / name) as recording:
+            for index in range(0, len(many), step):
+                np.testing.assert_array_equal(recording[index], many[index])
+            stride = recording._source._stride
+        expected = len(many) - 5 if name == "in-turn" else 0
+        assert expected * stride <= sum(released) <= expected * stride * 1.1
 
 
 def test_numbers_of_either_byte_order_are_read(tmp_path, frames):

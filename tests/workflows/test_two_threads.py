@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.tracking import Pipeline
-from napari_elsplus.workflows.two_threads import AHEAD, Pipelined, computed_ahead
+from napari_elsplus.workflows.two_threads import AHEAD, ComputedAhead, Pipelined
 from recordings import Truth, record, smooth_path, texture
 
 
@@ -105,7 +105,7 @@ def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_
             yield np.full((2, 2), number, np.float32)
         raise ValueError("the fourth")
 
-    ahead = computed_ahead(images())
+    ahead = iter(ComputedAhead(images(), 4))
     assert [int(next(ahead)[0, 0]) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="the fourth"):
         next(ahead)

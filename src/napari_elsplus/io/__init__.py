@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from napari_elsplus.io.calibration_lookup import existing_beside as existing_beside
     from napari_elsplus.io.calibrations import read_calibration as read_calibration
     from napari_elsplus.io.calibrations import write_calibration as write_calibration
-    from napari_elsplus.io.columns import read_depths_um as read_depths_um
-    from napari_elsplus.io.columns import read_volts as read_volts
-    from napari_elsplus.io.columns import volts_beside as volts_beside
-    from napari_elsplus.io.columns import write_column as write_column
-    from napari_elsplus.io.columns import write_table as write_table
     from napari_elsplus.io.finished_images import allocate_images as allocate_images
     from napari_elsplus.io.finished_images import fill_images as fill_images
     from napari_elsplus.io.finished_images import write_images as write_images
@@ -36,26 +31,31 @@ if TYPE_CHECKING:
     from napari_elsplus.io.recorder import RecordingWriter as RecordingWriter
     from napari_elsplus.io.recordings import Recording as Recording
     from napari_elsplus.io.recordings import open_recording as open_recording
+    from napari_elsplus.io.tables.columns import read_depths_um as read_depths_um
+    from napari_elsplus.io.tables.columns import read_volts as read_volts
+    from napari_elsplus.io.tables.columns import volts_beside as volts_beside
+    from napari_elsplus.io.tables.columns import write_column as write_column
+    from napari_elsplus.io.tables.columns import write_table as write_table
+    from napari_elsplus.io.tables.track_table import TrackTable as TrackTable
+    from napari_elsplus.io.tables.tracks import TrackPoint as TrackPoint
+    from napari_elsplus.io.tables.tracks import read_track as read_track
+    from napari_elsplus.io.tables.tracks import write_track as write_track
     from napari_elsplus.io.text import write_json as write_json
-    from napari_elsplus.io.track_table import TrackTable as TrackTable
-    from napari_elsplus.io.tracks import TrackPoint as TrackPoint
-    from napari_elsplus.io.tracks import read_track as read_track
-    from napari_elsplus.io.tracks import write_track as write_track
 
 _MODULES = {
     "atomic": ("put_in_place", "refuse_existing", "replacing", "replacing_all"),
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
-    "columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
     "finished_images": ("allocate_images", "fill_images", "write_images", "write_mosaic"),
     "formats.ome_tiff": ("write_stack",),
     "formats.registry": ("FileFormat", "ImageMetadata", "register_format"),
     "formats.source": ("FrameSource",),
     "recorder": ("RecordingWriter",),
     "recordings": ("Recording", "open_recording"),
+    "tables.columns": ("read_depths_um", "read_volts", "volts_beside", "write_column", "write_table"),
+    "tables.track_table": ("TrackTable",),
+    "tables.tracks": ("TrackPoint", "read_track", "write_track"),
     "text": ("write_json",),
-    "track_table": ("TrackTable",),
-    "tracks": ("TrackPoint", "read_track", "write_track"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

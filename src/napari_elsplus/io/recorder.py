@@ -19,6 +19,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_existing
 from napari_elsplus.io.calibration_lookup import beside
 from napari_elsplus.io.calibrations import write_calibration
+from napari_elsplus.io.disk import write_at
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.registry import ImageMetadata
 from napari_elsplus.io.formats.tiff_pages import PageLayout
@@ -109,7 +110,7 @@ class RecordingWriter(ClosedOnExit):
         self._times_s: list[float] = []
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)
-        _write(self._file, 0, self._layout.file_header)
+        write_at(self._file, 0, self._layout.file_header)
         self._reserved = 0
         self._flush_failed: OSError | None = None
         self._stop = Event()
@@ -156,9 +157,9 @@ class RecordingWriter(ClosedOnExit):
                 raise self._flush_failed
             self._reserve(self._layout.start(index + 1))
             head, pixels = self._layout.head(index, time_s, frame_number), np.ascontiguousarray(frame).data
-            _write(self._file, self._layout.start(index), head, pixels, self._layout.padding)
+            write_at(self._file, self._layout.start(index), head, pixels, self._layout.padding)
             if index:  # the page is complete: link it
-                _write(self._file, *self._layout.link(index))
+                write_at(self._file, *self._layout.link(index))
         except OSError as error:
             self._close_file()
             self._cut_to_whole_pages()
@@ -246,19 +247,3 @@ def _fallocate() -> Callable[[int, int, int, int], int] | None:
         function = ctypes.CDLL(None).fallocate
         function.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
     return function
-
-
-def _write(file: io.FileIO, place: int, *parts: bytes | memoryview) -> None:
-    """Write parts one after the other at a byte offset, in one call where the system has one: it may take less."""
-    rest = [memoryview(part).cast("B") for part in parts]
-    while rest:
-        if sys.platform == "win32":
-            file.seek(place)
-            written = file.write(rest[0])
-        else:
-            written = os.pwritev(file.fileno(), rest, place)
-        place += written
-        while rest and written >= len(rest[0]):
-            written -= len(rest.pop(0))
-        if rest:
-            rest[0] = rest[0][written:]

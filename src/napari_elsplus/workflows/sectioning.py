@@ -15,7 +15,7 @@ from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.row_reference import shows_row_noise
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.progress import without_display
-from napari_elsplus.workflows.two_threads import computed_ahead
+from napari_elsplus.workflows.two_threads import ComputedAhead
 
 if TYPE_CHECKING:
     import os
@@ -194,7 +194,7 @@ class SectionedImages:
             If no format writes the suffix, or the file exists and `force` is not given.
         """
         images = self._images(progress(range(len(self)), self.mode.value))
-        write_images(path, images if threads == 1 else computed_ahead(images), self._metadata, force=force)
+        write_images(path, ComputedAhead(images, len(self), threads=threads), self._metadata, force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -19,23 +19,40 @@ if TYPE_CHECKING:
 
 BATCH: Final = 8
 """Frames handed over at once; chosen: handing over costs a tenth of what a frame does."""
+IMAGES_AHEAD: Final = 4
+"""Images computed before they are asked for; chosen: the time that the disk takes for a block of them."""
 AHEAD: Final = 3 * BATCH
 """Frames in progress at once; chosen so that neither thread waits for the other's slowest frame."""
 
 
-def computed_ahead(images: Iterator[NDArray[np.float32]]) -> Iterator[NDArray[np.float32]]:
-    """Yield images (n, n), the next of which a second thread computes while the caller writes one.
+class ComputedAhead:
+    """Images (n, n), the next of which a second thread computes while the caller writes one; can be iterated once.
 
     Parameters
     ----------
     images : iterator of numpy.ndarray
         Each computed when it is asked for, in an array of its own; asked for by the second thread alone.
+    count : int
+        Number of images.
+    threads : int
+        1 to compute each image when the caller asks for it.
     """
-    with ThreadPoolExecutor(1, thread_name_prefix="images") as thread:
-        coming = thread.submit(next, images, None)
-        while (image := coming.result()) is not None:
-            coming = thread.submit(next, images, None)
-            yield image
+
+    def __init__(self, images: Iterator[NDArray[np.float32]], count: int, *, threads: Literal[1, 2] = 2) -> None:
+        self._images, self._count, self._threads = images, count, threads
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        if self._threads == 1:
+            yield from self._images
+            return
+        with ThreadPoolExecutor(1, thread_name_prefix="images") as thread:
+            coming = deque(thread.submit(next, self._images, None) for _ in range(IMAGES_AHEAD))
+            while (image := coming.popleft().result()) is not None:
+                coming.append(thread.submit(next, self._images, None))
+                yield image
 
 
 class Pipelined:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.io import TrackPoint, TrackTable
-from napari_elsplus.io.track_table import ROW
+from napari_elsplus.io.tables.track_table import ROW
 from napari_elsplus.viewing.mosaic import track as viewed
 from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, MAX_LINES, MAX_MARKS, PREDICTED, TrackDrawing, probe_speed
 

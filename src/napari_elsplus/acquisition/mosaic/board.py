@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.acquisition.mosaic.board_tables import BOARD_BYTES, CHANGES, FREE, Tables
 from napari_elsplus.acquisition.streaming import shared_memory as shared
-from napari_elsplus.io.track_table import lose, packed
+from napari_elsplus.io.tables.track_table import lose, packed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.acquisition.streaming import shared_memory as shared
-from napari_elsplus.io.track_table import ROW
+from napari_elsplus.io.tables.track_table import ROW
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Tile
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_existing, replacing
+from napari_elsplus.io.disk import SpanWriter
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.registry import ImageMetadata
 
@@ -25,6 +26,10 @@ MAX_CLASSIC_BYTES: Final = 2 << 30
 address: some readers take them as signed."""
 MAX_SMALLEST_LEVEL_PX: Final = 512
 """Longer side of the smallest level of a pyramid. Chosen: viewers draw such an image at once."""
+_PAGE: Final[dict[str, Any]] = {
+    "photometric": "minisblack", "metadata": None, "software": ome.SOFTWARE, "description": ome.SOFTWARE,
+}  # fmt: skip
+"""What tifffile writes into each page of a stack."""
 TILE_PX: Final = (256, 256)
 """Rows and columns of a tile; usual for OME-TIFF, and a multiple of 16 as TIFF demands."""
 
@@ -67,15 +72,15 @@ def write_stack(
     with replacing(path, force=force) as beside:
         planes = contiguous_images(images)
         first = next(planes)
-        length = len(images) if isinstance(images, Sized) else None
-        big = length is None or length * first.nbytes > MAX_CLASSIC_BYTES
+        planes = chain([first], planes)
+        if isinstance(images, Sized):
+            shape = (len(images), *first.shape)
+            _lay_out(beside, shape, first.dtype, metadata, axes)
+            return fill_stack(beside, 0, planes)
         count = 0
-        with tifffile.TiffWriter(beside, bigtiff=big) as writer:
-            for image in chain([first], planes):
-                writer.write(
-                    image, contiguous=True, photometric="minisblack", metadata=None,
-                    software=ome.SOFTWARE, description=ome.SOFTWARE,
-                )  # fmt: skip
+        with tifffile.TiffWriter(beside, bigtiff=True) as writer:
+            for image in planes:
+                writer.write(image, contiguous=True, **_PAGE)
                 count += 1
         ome.put_into_first_page(beside, (count, *first.shape), first.dtype, metadata, axes)
     return count
@@ -87,7 +92,7 @@ def allocate_stack(
     dtype: DTypeLike,
     metadata: ImageMetadata,
 ) -> None:
-    """Create the OME-TIFF (BigTIFF) of a stack whose pixels are 0; :func:`fill_stack` writes images into it.
+    """Create the OME-TIFF of a stack whose pixels are 0; :func:`fill_stack` writes images into it.
 
     Parameters
     ----------
@@ -100,15 +105,17 @@ def allocate_stack(
     metadata : ImageMetadata
         As :func:`write_stack`.
     """
+    refuse_existing(path)
+    _lay_out(Path(path), shape, np.dtype(dtype), metadata, "TYX")
+
+
+def _lay_out(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], metadata: ImageMetadata, axes: str) -> None:
     import tifffile
 
-    refuse_existing(path)
-    with tifffile.TiffWriter(path, bigtiff=True) as writer:
-        writer.write(
-            shape=shape, dtype=np.dtype(dtype), contiguous=True, photometric="minisblack", metadata=None,
-            software=ome.SOFTWARE, description=ome.SOFTWARE,
-        )  # fmt: skip
-    ome.put_into_first_page(Path(path), shape, np.dtype(dtype), metadata)
+    pixel_bytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    with tifffile.TiffWriter(path, bigtiff=pixel_bytes > MAX_CLASSIC_BYTES) as writer:
+        writer.write(shape=shape, dtype=dtype, contiguous=True, **_PAGE)
+    ome.put_into_first_page(path, (shape[0], shape[1], shape[2]), dtype, metadata, axes)
 
 
 def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -141,13 +148,12 @@ def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArra
         page, count = file.pages.first, len(file.pages)
     assert page.dtype is not None  # every file of allocate_stack has one
     written = 0
-    with Path(path).open("rb+") as pixels:
-        pixels.seek(page.dataoffsets[0] + first * page.nbytes)
+    with SpanWriter(Path(path), page.dataoffsets[0] + first * page.nbytes) as pixels:
         for image in contiguous_images(images):
             require_alike(image, path, page.shape, page.dtype)
             if first + written >= count:
                 raise IndexError(f"image {first + written} of {count}")
-            pixels.write(image.data)
+            pixels.write(image)
             written += 1
     return written
 

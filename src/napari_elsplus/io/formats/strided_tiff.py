@@ -7,7 +7,7 @@ After a crash the pages are complete up to some page, which bisection finds.
 from __future__ import annotations
 
 import mmap
-import sys
+import os
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 MAX_MAPPED_BYTES: Final = 64 << 20
 """Frames that may stay in memory. Chosen: some hundred frames; the system reads them again in microseconds."""
+MAX_CACHED_PART: Final = 0.25
+"""Part of the computer's memory: of a longer file, frames that were read one after the other do not stay in it.
+Chosen: what is read once displaces nothing; room that is used again and again costs the system least."""
 _ENTRY: Final = 20
 """Bytes of a tag in BigTIFF (its specification)."""
 _COUNT: Final = 8
@@ -34,10 +37,12 @@ class StridedTiff(FrameSource):
     """Frames of a recording of this software, as read-only views into the mapped file."""
 
     def __init__(self, path: Path, first: tifffile.TiffPage, size: int) -> None:
+        import psutil
+
         rows, cols = first.shape
         dtype = np.dtype(first.parent.byteorder + first.dtype.char)  # type: ignore[union-attr]
-        with path.open("rb") as file:
-            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._file = path.open("rb")
+        self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         tags = first.tags
         self._ifd = first.offset
         self._head = first.dataoffsets[0] - first.offset
@@ -46,13 +51,15 @@ class StridedTiff(FrameSource):
         self._next = _COUNT + _ENTRY * self._word(self._ifd)
         self._frame_bytes = rows * cols * dtype.itemsize
         self._stride = self._page_length()
+        self._is_long = size > MAX_CACHED_PART * psutil.virtual_memory().total
         self._bytes_returned = 0
+        self._successive = range(0)
         super().__init__(path, (self._whole_pages(size), rows, cols), dtype, _metadata(first))
         self.metadata.pop("times_s", None)  # the pages have them
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), a view of the mapped file."""
-        self._release_pages()
+        self._release_pages(index)
         return self._frames()[index, :, :]
 
     def block(self, indices: range) -> NDArray[Any]:
@@ -79,12 +86,19 @@ class StridedTiff(FrameSource):
         inner = np.empty(shape, dtype).strides if len(shape) == 1 else (shape[1] * dtype.itemsize, dtype.itemsize)
         return np.ndarray((self.shape[0], *shape), dtype, self._map, self._ifd + offset, (self._stride, *inner))
 
-    def _release_pages(self) -> None:
-        """Release mapped pages at intervals, so that scrolling through a long recording does not fill the memory."""
+    def _release_pages(self, index: int) -> None:
+        """Release pages at intervals, so that reading through a long recording does not fill the memory."""
+        before = self._successive
+        self._successive = range(before.start if index in (before.stop - 1, before.stop) else index, index + 1)
         self._bytes_returned += self._frame_bytes
-        if sys.platform != "win32" and self._bytes_returned > MAX_MAPPED_BYTES:
-            self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them again
-            self._bytes_returned = 0
+        if self._bytes_returned <= MAX_MAPPED_BYTES or os.name != "posix":
+            return
+        self._map.madvise(mmap.MADV_DONTNEED)  # views stay valid: the system reads them again
+        if self._is_long and hasattr(os, "posix_fadvise"):
+            read = len(self._successive) - 1
+            start = self._ifd + self._successive.start * self._stride
+            os.posix_fadvise(self._file.fileno(), start, read * self._stride, os.POSIX_FADV_DONTNEED)
+        self._bytes_returned, self._successive = 0, range(index, index + 1)
 
     def _page_length(self) -> int:
         following = self._word(self._ifd + self._next)
@@ -107,6 +121,7 @@ class StridedTiff(FrameSource):
 
     def close(self) -> None:
         """Close the file."""
+        self._file.close()
         self._map = mmap.mmap(-1, 1)  # views that were returned keep the old one alive
 
 

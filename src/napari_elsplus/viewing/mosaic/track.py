@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.io.tracks import STATES
+from napari_elsplus.io.tables.tracks import STATES
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
 

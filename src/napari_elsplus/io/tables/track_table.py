@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
-from napari_elsplus.io.tracks import HEADER, STATES, TrackPoint
+from napari_elsplus.io.tables.tracks import HEADER, STATES, TrackPoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.io import TrackPoint, TrackTable, read_track, write_track
-from napari_elsplus.io.track_table import ROW, packed
+from napari_elsplus.io.tables.track_table import ROW, packed
 
 STATES = ("tracked", "tracked", "predicted", "lost")
 

@@ -1,0 +1,1 @@
+"""Tables as text: voltages and depths, and the track of a probe."""
