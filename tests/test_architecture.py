@@ -37,6 +37,7 @@ ORDER = (
     "processing.mosaicing",
     "io.atomic",
     "io.disk",
+    "io.mapped_frames",
     "io.user_folders",
     "io.settings",
     "io.calibrations",

@@ -8,13 +8,13 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import psutil
 import pytest
 import tifffile
 import zarr
 
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.io import Recording, RecordingWriter, open_recording
-from napari_elsplus.io.formats import strided_tiff
+from napari_elsplus.io import Recording, RecordingWriter, mapped_frames, open_recording
 from videos import write_avi
 
 SHAPE = (7, 40, 64)
@@ -213,7 +213,8 @@ def test_a_recording_that_is_dropped_lets_go_of_its_file(tmp_path, frames, name)
 
 
 @pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system cannot be told what is read no more")
-def test_of_a_long_recording_only_frames_read_in_turn_leave_the_systems_memory(tmp_path, frames, monkeypatch):
+@pytest.mark.parametrize("name", ["r.ome.tif", "ome.ome.tif", "motorola.tif", "stack.npy"])
+def test_of_a_long_recording_only_frames_read_in_turn_leave_the_systems_memory(tmp_path, frames, monkeypatch, name):
     released = []
 
     def release(descriptor, start, length, advice):
@@ -221,19 +222,27 @@ def test_of_a_long_recording_only_frames_read_in_turn_leave_the_systems_memory(t
         assert os.fstat(descriptor).st_size >= start + length
         released.append(length)
 
-    many = np.concatenate([frames] * 10)
+    many, frame_bytes = np.concatenate([frames] * 10), frames[0].nbytes
     monkeypatch.setattr(os, "posix_fadvise", release)
-    monkeypatch.setattr(strided_tiff, "MAX_MAPPED_BYTES", 4 * frames[0].nbytes)
-    for name, part, step in (("in-turn", 0, 1), ("each-second", 0, 2), ("short", 1, 1)):
-        monkeypatch.setattr(strided_tiff, "MAX_CACHED_PART", part)
-        ours(tmp_path / name, many)
-        released.clear()  # the recorder's own
+    monkeypatch.setattr(mapped_frames, "MAX_MAPPED_BYTES", 4 * frame_bytes)
+    FORMATS[name](tmp_path / name, many)
+    for part, step, expected in ((0, 1, len(many) - 5), (0, 2, 0), (1, 1, 0)):
+        monkeypatch.setattr(mapped_frames, "MAX_CACHED_PART", part)
+        released.clear()
         with open_recording(tmp_path / name) as recording:
             for index in range(0, len(many), step):
                 np.testing.assert_array_equal(recording[index], many[index])
-            stride = recording._source._stride
-        expected = len(many) - 5 if name == "in-turn" else 0
-        assert expected * stride <= sum(released) <= expected * stride * 1.1
+        assert expected * frame_bytes <= sum(released) <= expected * (frame_bytes + 1024) * 1.1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pages are released by the system")
+@pytest.mark.parametrize("name", ["r.ome.tif", "ome.ome.tif", "stack.npy"])
+def test_frames_that_were_read_do_not_stay_in_this_programs_memory(tmp_path, name):
+    FORMATS[name](tmp_path / name, np.ones((160, 1024, 1024), np.uint8))
+    before = psutil.Process().memory_info().rss
+    with open_recording(tmp_path / name) as recording:
+        assert sum(int(frame.sum()) for frame in recording) == 160 << 20
+        assert psutil.Process().memory_info().rss - before < 80 << 20
 
 
 def test_numbers_of_either_byte_order_are_read(tmp_path, frames):

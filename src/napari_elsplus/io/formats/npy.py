@@ -9,6 +9,7 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource
+from napari_elsplus.io.mapped_frames import MappedFrames
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,15 +26,16 @@ class NumpyFile(FrameSource):
             array.close()
             raise InputError(f"{path.name} is an archive of arrays", "save one stack with numpy.save")
         super().__init__(path, array.shape, array.dtype)
-        self._array: NDArray[Any] = array.reshape(self.shape)
+        strides = array.reshape(self.shape).strides
+        self._mapped = MappedFrames(path, self.shape, array.dtype, array.offset, strides)
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), a read-only view of the file."""
-        return self._array[index, :, :]
+        return self._mapped.frame(index)
 
     def close(self) -> None:
         """Release the file."""
-        self._array = np.empty((0, *self.shape[1:]), self.stored_dtype)
+        self._mapped.close()
 
 
 NPY: Final = FileFormat("NumPy", (".npy",), NumpyFile, signatures=(b"\x93NUMPY",))

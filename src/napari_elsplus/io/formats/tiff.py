@@ -15,6 +15,7 @@ from napari_elsplus.io.formats.ome_tiff import allocate_stack, fill_stack, write
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding, positive
 from napari_elsplus.io.formats.strided_tiff import StridedTiff, is_strided
+from napari_elsplus.io.mapped_frames import MappedFrames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,7 +76,7 @@ class PagedTiff(FrameSource):
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), as stored."""
         if self._mapped is not None:
-            return self._mapped[index, :, :]
+            return self._mapped.frame(index)
         with self._lock:
             page = self._series.pages[0 if self._planes else index]
         if page is None:
@@ -85,14 +86,14 @@ class PagedTiff(FrameSource):
             return image[index, :, :]
         return image.reshape(self.shape[1:]) if image.size == self.shape[1] * self.shape[2] else image
 
-    def _map(self, offset: int) -> NDArray[Any]:
+    def _map(self, offset: int) -> MappedFrames:
         dtype = np.dtype(self._tiff.byteorder + self.stored_dtype.char)
         end = offset + int(np.prod(self.shape, dtype=np.int64)) * dtype.itemsize
         if end > self._tiff.filehandle.size:
             raise InputError(
                 f"{self.path.name} is truncated: {self._tiff.filehandle.size} of {end} bytes", "copy or record it again"
             )
-        return np.memmap(self.path, dtype, "r", offset, self.shape)
+        return MappedFrames(self.path, self.shape, dtype, offset)
 
     def _refuse_truncated(self, pages: int) -> None:
         if pages != self.shape[0]:
@@ -106,7 +107,8 @@ class PagedTiff(FrameSource):
 
     def close(self) -> None:
         """Close the file."""
-        self._mapped = None
+        if self._mapped is not None:
+            self._mapped.close()
         self._tiff.close()
 
 
