@@ -245,6 +245,20 @@ def test_frames_that_were_read_do_not_stay_in_this_programs_memory(tmp_path, nam
         assert psutil.Process().memory_info().rss - before < 80 << 20
 
 
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system cannot be told to forget a file")
+@pytest.mark.parametrize("is_cached", [True, False])
+def test_times_are_read_without_the_frames_between(tmp_path, is_cached):
+    FORMATS["r.ome.tif"](tmp_path / "r.ome.tif", np.ones((160, 1024, 1024), np.uint8))
+    if not is_cached:
+        with (tmp_path / "r.ome.tif").open("rb+") as file:
+            os.fsync(file.fileno())
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        before = psutil.Process().memory_info().rss
+        assert len(recording.times_s) == len(recording.frame_numbers) == 160
+        assert psutil.Process().memory_info().rss - before < 4 << 20
+
+
 def test_numbers_of_either_byte_order_are_read(tmp_path, frames):
     np.save(tmp_path / "big-endian.npy", frames.astype(">u2"))
     with open_recording(tmp_path / "big-endian.npy") as recording:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -50,32 +51,39 @@ class MappedFrames:
     ) -> None:
         import psutil
 
-        self._file = path.open("rb")
+        self._file = path.open("rb", buffering=0)
+        self._reading = Lock()
         self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         self._offset = offset
-        self.array = self.view(shape, dtype, offset, strides)
+        self.array: NDArray[Any] = np.ndarray(shape, dtype, self._map, offset, strides)
         self._stride = self.array.strides[0]
         self._is_long = len(self._map) > MAX_CACHED_PART * psutil.virtual_memory().total
         self._bytes_returned = 0
         self._successive = range(0)
 
-    def view(
-        self, shape: tuple[int, ...], dtype: DTypeLike, offset: int, strides: tuple[int, ...] | None = None
-    ) -> NDArray[Any]:
-        """Return another array in the file.
+    def scattered(self, places: range, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Return a copy of small arrays that lie far apart in the file, (len(places), *shape).
+
+        They are read beside the mapping, by way of which the system would read what lies around each of them.
 
         Parameters
         ----------
+        places : range
+            Of their first bytes.
         shape : tuple of int
-            Of the array.
+            Of each.
         dtype : numpy.dtype
-            Of its elements, as stored.
-        offset : int
-            Of its first element, bytes.
-        strides : tuple of int, optional
-            Bytes between its elements along each axis; contiguous by default.
+            Of their elements, as stored.
         """
-        return np.ndarray(shape, dtype, self._map, offset, strides)
+        copied = np.zeros((len(places), *shape), dtype)
+        if hasattr(os, "posix_fadvise"):  # asked for all of them beforehand, a disk need not wait for each
+            for place in places:
+                os.posix_fadvise(self._file.fileno(), place, copied[0].nbytes, os.POSIX_FADV_WILLNEED)
+        with self._reading:
+            for place, values in zip(places, copied, strict=True):
+                self._file.seek(place)
+                self._file.readinto(values.data)
+        return copied
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), a view of the file."""

@@ -1,11 +1,13 @@
 """Recordings of this software: BigTIFF, one uncompressed page per frame, every page of the same length.
 
-Frame k lies at a constant stride: only the first page is parsed; frames, times and numbers are views into the mapping.
-After a crash the pages are complete up to some page, which bisection finds.
+Frame k lies at a constant stride: only the first page is parsed, and frames are views into the mapping. Times and
+numbers, far apart, are read once, when somebody asks. After a crash the pages are complete up to some page, which
+bisection finds.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -47,7 +49,7 @@ class StridedTiff(FrameSource):
         self.metadata.pop("times_s", None)  # the pages have them
         strides = (self._stride, cols * dtype.itemsize, dtype.itemsize)
         self._mapped = MappedFrames(path, self.shape, dtype, first.dataoffsets[0], strides)
-        self._stamps = self._mapped.view((pages, 2), np.dtype("<f8"), tags[STAMP_TAG].valueoffset, (self._stride, 8))
+        self._stamp = tags[STAMP_TAG].valueoffset
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), a view of the mapped file."""
@@ -66,6 +68,12 @@ class StridedTiff(FrameSource):
         """Return the camera's number of each frame, (T,), from its page."""
         return self._stamps[:, 1].astype(np.int64)
 
+    @cached_property
+    def _stamps(self) -> NDArray[np.float64]:
+        """Time in seconds and the camera's number of each frame, (T, 2)."""
+        places = range(self._stamp, self._stamp + self.shape[0] * self._stride, self._stride)
+        return self._mapped.scattered(places, (2,), "<f8")
+
     def _whole_pages(self, file: io.BufferedReader, last: int) -> int:
         """Return the number of complete pages, which begin at offset `last` at most; later ones a crash cut off."""
         low, high = 1, max((last - self._ifd) // self._stride + 1, 1)
@@ -82,7 +90,6 @@ class StridedTiff(FrameSource):
     def close(self) -> None:
         """Close the file; views that were returned stay valid."""
         self._mapped.close()
-        self._stamps = self._stamps[:0].copy()
 
 
 def is_strided(first: tifffile.TiffPage) -> bool:
