@@ -82,6 +82,38 @@ def test_a_full_disk_is_no_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         writer.write(BEFORE[: 2 * PAGE])
 
 
+@pytest.mark.parametrize("blocks", [1, 2, 5])
+def test_what_could_not_be_written_is_told_though_later_blocks_could(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocks: int
+) -> None:
+    write_at, places = disk.write_at, []
+
+    def full_at_first(file: object, place: int, *parts: bytes | memoryview) -> None:
+        places.append(place)
+        if len(places) == 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_at(file, place, *parts)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(disk, "write_at", full_at_first)
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"")
+    with pytest.raises(OSError, match="No space"), SpanWriter(path, 0) as writer:
+        writer.write(np.tile(BEFORE[:BLOCK_BYTES], blocks))
+    assert places[0] == 0
+
+
+def test_an_array_may_be_reused_as_soon_as_it_was_given(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"")
+    values = np.empty(BLOCK_BYTES, np.uint8)
+    with SpanWriter(path, 0) as writer:
+        for number in range(12):
+            values[:] = number
+            writer.write(values)
+    found = np.fromfile(path, np.uint8).reshape(12, -1)
+    np.testing.assert_array_equal(found, np.repeat(np.arange(12, dtype=np.uint8)[:, None], BLOCK_BYTES, axis=1))
+
+
 def test_systems_without_direct_writing_write_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "O_DIRECT", raising=False)
     written(tmp_path / "a.bin", 10, [BEFORE[::-1][: BLOCK_BYTES + 99].copy()])

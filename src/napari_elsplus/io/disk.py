@@ -6,6 +6,7 @@ import errno
 import mmap
 import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from napari_elsplus.closing import ClosedOnExit
 
 if TYPE_CHECKING:
     import io
+    from concurrent.futures import Future
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -52,8 +54,8 @@ class SpanWriter(ClosedOnExit):
     """Writes successive bytes into a file, past the system's memory where the system and the file's disk allow it.
 
     In the system's memory a file of many gigabytes displaces what is needed, and finding room for it takes longer than
-    the disk does. Whole pages go to the disk in blocks; the first and the last page of the span, which others may write
-    into as well, go by the system's memory. :meth:`close` writes what is left.
+    the disk does. Bytes are copied into one block while a thread writes the block before; :meth:`close` writes the last
+    and waits for both.
 
     Parameters
     ----------
@@ -64,11 +66,12 @@ class SpanWriter(ClosedOnExit):
     """
 
     def __init__(self, path: Path, start: int) -> None:
-        self._file = path.open("rb+", buffering=0)
-        self._direct = _open_direct(path)
-        self._block = np.frombuffer(mmap.mmap(-1, BLOCK_BYTES), np.uint8)  # begins with a page, as the disk demands
+        self._file = _BlockFile(path)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._writing: Future[None] | None = None
         self._before = self._filled = start % mmap.PAGESIZE
         self._place = start - self._before
+        self._block, self._spare = _empty_block(), _empty_block()
 
     def write(self, values: NDArray[Any]) -> None:
         """Write an array's bytes after those before; the array may be reused as soon as this returns.
@@ -81,7 +84,7 @@ class SpanWriter(ClosedOnExit):
         Raises
         ------
         OSError
-            If the disk is full or fails.
+            If the disk is full or fails, by :meth:`close` at the latest.
         """
         rest = values.reshape(-1).view(np.uint8)
         while len(rest):
@@ -90,45 +93,81 @@ class SpanWriter(ClosedOnExit):
             self._filled += taken
             rest = rest[taken:]
             if self._filled == BLOCK_BYTES:
-                self._write_block()
+                self._hand_over()
 
     def close(self) -> None:
         """Write what is left and close the file."""
+        if self._file.is_closed:
+            return
         try:
-            if not self._file.closed:
-                self._write_block()
+            self._hand_over()
+            self._wait()
         finally:
+            self._thread.shutdown()
             self._file.close()
-            if self._direct is not None:
-                self._direct.close()
 
-    def _write_block(self) -> None:
-        first = mmap.PAGESIZE if self._before else 0
-        last = self._filled - self._filled % mmap.PAGESIZE
-        if self._direct is not None and first < last:
-            self._write_pages(first, last)
-            self._write_cached(self._before, first)
-            self._write_cached(last, self._filled)
-        else:
-            self._write_cached(self._before, self._filled)
+    def _hand_over(self) -> None:
+        """Let the thread write the block, and go on with the other when that is written."""
+        self._wait()
+        self._writing = self._thread.submit(
+            self._file.write, self._place, self._block[: self._filled], before=self._before
+        )
+        self._block, self._spare = self._spare, self._block
         self._place += self._filled
         self._before = self._filled = 0
 
-    def _write_pages(self, first: int, last: int) -> None:
-        """Write whole pages of the block past the system's memory, or by it if this disk refuses."""
-        assert self._direct is not None
+    def _wait(self) -> None:
+        written, self._writing = self._writing, None
+        if written is not None:
+            written.result()
+
+
+class _BlockFile:
+    """A file whose whole pages are written past the system's memory, or by it if its disk refuses."""
+
+    def __init__(self, path: Path) -> None:
+        self._cached = path.open("rb+", buffering=0)
+        self._direct = _open_direct(path)
+
+    @property
+    def is_closed(self) -> bool:
+        return self._cached.closed
+
+    def write(self, place: int, block: NDArray[np.uint8], *, before: int) -> None:
+        """Write a block, which begins with a page of the file, without the bytes `before`, which others may write.
+
+        The first and the last page go by the system's memory if the block has only a part of them.
+        """
+        first = mmap.PAGESIZE if before else 0
+        last = len(block) - len(block) % mmap.PAGESIZE
+        if first >= last or not self._write_pages(place + first, block[first:last]):
+            first = last = before
+        for begin, end in ((before, first), (last, len(block))):
+            if begin < end:
+                write_at(self._cached, place + begin, block[begin:end].data)
+
+    def _write_pages(self, place: int, pages: NDArray[np.uint8]) -> bool:
+        """Write whole pages past the system's memory; return False if that is not to be had."""
+        if self._direct is None:
+            return False
         try:
-            write_at(self._direct, self._place + first, self._block[first:last].data)
+            write_at(self._direct, place, pages.data)
         except OSError as error:
             if error.errno not in (errno.EINVAL, errno.ENOTSUP):
                 raise
             self._direct.close()
             self._direct = None
-            self._write_cached(first, last)
+        return self._direct is not None
 
-    def _write_cached(self, first: int, last: int) -> None:
-        if first < last:
-            write_at(self._file, self._place + first, self._block[first:last].data)
+    def close(self) -> None:
+        self._cached.close()
+        if self._direct is not None:
+            self._direct.close()
+
+
+def _empty_block() -> NDArray[np.uint8]:
+    """Return a block that begins with a page of the memory, as writing past the system's memory demands."""
+    return np.frombuffer(mmap.mmap(-1, BLOCK_BYTES), np.uint8)
 
 
 def _open_direct(path: Path) -> io.FileIO | None:
