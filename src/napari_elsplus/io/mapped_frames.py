@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import sys
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
@@ -76,7 +77,7 @@ class MappedFrames:
             Of their elements, as stored.
         """
         copied = np.zeros((len(places), *shape), dtype)
-        if hasattr(os, "posix_fadvise"):  # asked for all of them beforehand, a disk need not wait for each
+        if sys.platform == "linux":  # asked for all of them beforehand, a disk need not wait for each
             for place in places:
                 os.posix_fadvise(self._file.fileno(), place, copied[0].nbytes, os.POSIX_FADV_WILLNEED)
         with self._reading:
@@ -95,10 +96,11 @@ class MappedFrames:
         before = self._successive
         self._successive = range(before.start if index in (before.stop - 1, before.stop) else index, index + 1)
         self._bytes_returned += self.array[0].nbytes
-        if self._bytes_returned <= MAX_MAPPED_BYTES or os.name != "posix":
+        if self._bytes_returned <= MAX_MAPPED_BYTES:
             return
-        self._map.madvise(mmap.MADV_DONTNEED)
-        if self._is_long and hasattr(os, "posix_fadvise"):
+        if sys.platform != "win32":
+            self._map.madvise(mmap.MADV_DONTNEED)
+        if self._is_long and sys.platform == "linux":
             start = self._offset + self._successive.start * self._stride
             read = (len(self._successive) - 1) * self._stride
             os.posix_fadvise(self._file.fileno(), start, read, os.POSIX_FADV_DONTNEED)
