@@ -259,6 +259,15 @@ def test_times_are_read_without_the_frames_between(tmp_path, is_cached):
         assert psutil.Process().memory_info().rss - before < 4 << 20
 
 
+@pytest.mark.skipif(os.name != "posix", reason="this system cuts no file that is mapped")
+def test_times_of_a_recording_that_was_cut_meanwhile_are_told_and_not_invented(tmp_path, frames):
+    FORMATS["r.ome.tif"](tmp_path / "r.ome.tif", frames)
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        os.truncate(tmp_path / "r.ome.tif", (tmp_path / "r.ome.tif").stat().st_size // 2)
+        with pytest.raises(InputError, match=r"r\.ome\.tif: the frames' times cannot be read"):
+            _ = recording.times_s
+
+
 def test_numbers_of_either_byte_order_are_read(tmp_path, frames):
     np.save(tmp_path / "big-endian.npy", frames.astype(">u2"))
     with open_recording(tmp_path / "big-endian.npy") as recording:

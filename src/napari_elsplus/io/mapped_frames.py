@@ -75,15 +75,21 @@ class MappedFrames:
             Of each.
         dtype : numpy.dtype
             Of their elements, as stored.
+
+        Raises
+        ------
+        EOFError
+            If the file was cut meanwhile.
         """
-        copied = np.zeros((len(places), *shape), dtype)
+        copied = np.empty((len(places), *shape), dtype)
         if sys.platform == "linux":  # asked for all of them beforehand, a disk need not wait for each
             for place in places:
                 os.posix_fadvise(self._file.fileno(), place, copied[0].nbytes, os.POSIX_FADV_WILLNEED)
         with self._reading:
             for place, values in zip(places, copied, strict=True):
                 self._file.seek(place)
-                self._file.readinto(values.data)
+                if self._file.readinto(values.data) < values.nbytes:
+                    raise EOFError(f"the file ends before byte {place + values.nbytes}")
         return copied
 
     def frame(self, index: int) -> NDArray[Any]:
