@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-BLOCK_BYTES: Final = 4 << 20
-"""Bytes that go to the disk in one call; chosen: a millisecond of a fast disk's time."""
+BLOCK_BYTES: Final = 16 << 20
+"""Bytes that go to the disk in one call; measured: 14,400 frames are processed in 9.5 s with 4 MB, between two of which
+the disk waits for a thread to wake, in 8.8 with 8, and in 8.5 with 12 and 16 (medians of six)."""
 
 
 def write_at(file: io.FileIO, place: int, *parts: bytes | memoryview) -> None:
