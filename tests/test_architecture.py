@@ -37,7 +37,7 @@ ORDER = (
     "processing.mosaicing",
     "io.atomic",
     "io.disk",
-    "io.mapped_frames",
+    "io.stored_frames",
     "io.user_folders",
     "io.settings",
     "io.calibrations",

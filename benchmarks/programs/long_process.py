@@ -26,7 +26,7 @@ from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.io import RecordingWriter
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.disk import SpanWriter, write_at
-from napari_elsplus.io.mapped_frames import MAX_MAPPED_BYTES
+from napari_elsplus.io.stored_frames import RELEASED_BYTES
 from napari_elsplus.workflows.simulated import simulate_recording
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _blocks_read(source: io.FileIO, *, forgets: bool) -> Iterator[int]:
     """Read a file to its end; yield the bytes of each block. The system's memory forgets them when they are many."""
     block = bytearray(BLOCK_BYTES)
     while read := source.readinto(block):
-        if forgets and sys.platform == "linux" and source.tell() % MAX_MAPPED_BYTES == 0:
+        if forgets and sys.platform == "linux" and source.tell() % RELEASED_BYTES == 0:
             os.posix_fadvise(source.fileno(), 0, source.tell(), os.POSIX_FADV_DONTNEED)
         yield read
 

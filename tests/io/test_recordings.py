@@ -14,7 +14,7 @@ import tifffile
 import zarr
 
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.io import Recording, RecordingWriter, mapped_frames, open_recording
+from napari_elsplus.io import Recording, RecordingWriter, open_recording, stored_frames
 from videos import write_avi
 
 SHAPE = (7, 40, 64)
@@ -224,10 +224,10 @@ def test_of_a_long_recording_only_frames_read_in_turn_leave_the_systems_memory(t
 
     many, frame_bytes = np.concatenate([frames] * 10), frames[0].nbytes
     monkeypatch.setattr(os, "posix_fadvise", release)
-    monkeypatch.setattr(mapped_frames, "MAX_MAPPED_BYTES", 4 * frame_bytes)
+    monkeypatch.setattr(stored_frames, "RELEASED_BYTES", 4 * frame_bytes)
     FORMATS[name](tmp_path / name, many)
     for part, step, expected in ((0, 1, len(many) - 5), (0, 2, 0), (1, 1, 0)):
-        monkeypatch.setattr(mapped_frames, "MAX_CACHED_PART", part)
+        monkeypatch.setattr(stored_frames, "MAX_CACHED_PART", part)
         released.clear()
         with open_recording(tmp_path / name) as recording:
             for index in range(0, len(many), step):
@@ -259,7 +259,19 @@ def test_times_are_read_without_the_frames_between(tmp_path, is_cached):
         assert psutil.Process().memory_info().rss - before < 4 << 20
 
 
-@pytest.mark.skipif(os.name != "posix", reason="this system cuts no file that is mapped")
+@pytest.mark.skipif(os.name != "posix", reason="this system cuts no file that is open")
+@pytest.mark.parametrize("name", ["r.ome.tif", "ome.ome.tif", "motorola.tif", "stack.npy"])
+def test_frames_of_a_recording_that_was_cut_meanwhile_are_told(tmp_path, name):
+    frames = np.random.default_rng(4).integers(0, 255, (9, 200, 300), np.uint8)
+    FORMATS[name](tmp_path / name, frames)
+    with open_recording(tmp_path / name) as recording:
+        os.truncate(tmp_path / name, (tmp_path / name).stat().st_size // 2)
+        np.testing.assert_array_equal(recording[1], frames[1])
+        with pytest.raises(InputError, match=r"frame 8 cannot be read \(EOFError"):
+            recording[8]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system cuts no file that is open")
 def test_times_of_a_recording_that_was_cut_meanwhile_are_told_and_not_invented(tmp_path, frames):
     FORMATS["r.ome.tif"](tmp_path / "r.ome.tif", frames)
     with open_recording(tmp_path / "r.ome.tif") as recording:

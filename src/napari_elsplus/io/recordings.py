@@ -34,8 +34,8 @@ class Recording(ClosedOnExit):
 
     Notes
     -----
-    ``recording[k]`` is one frame (rows, cols); ``recording[a:b]`` is a stack (n, rows, cols). Both may be read-only
-    views of the file. Float recordings are read as float32 and each frame is checked for NaN.
+    ``recording[k]`` is one frame (rows, cols); ``recording[a:b]`` is a stack (n, rows, cols), in
+    memory. Float recordings are read as float32 and each frame is checked for NaN.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -129,7 +129,7 @@ class Recording(ClosedOnExit):
         return find_calibration(self.path, self._calibration_text, active)
 
     def close(self) -> None:
-        """Close the file; views that were returned stay valid."""
+        """Close the file; frames that were returned stay valid."""
         self._source = None
         self._release()
 

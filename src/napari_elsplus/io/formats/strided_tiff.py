@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.source import FrameSource
 from napari_elsplus.io.formats.tiff_pages import STAMP_TAG
-from napari_elsplus.io.mapped_frames import MappedFrames
+from napari_elsplus.io.stored_frames import StoredFrames
 
 if TYPE_CHECKING:
     import io
@@ -31,7 +31,7 @@ _COUNT: Final = 8
 
 
 class StridedTiff(FrameSource):
-    """Frames of a recording of this software, as read-only views into the mapped file."""
+    """Frames of a recording of this software."""
 
     def __init__(self, path: Path, first: tifffile.TiffPage, size: int) -> None:
         rows, cols = first.shape
@@ -47,18 +47,12 @@ class StridedTiff(FrameSource):
             pages = self._whole_pages(file, size - self._head - frame_bytes)
         super().__init__(path, (pages, rows, cols), dtype, _metadata(first))
         self.metadata.pop("times_s", None)  # the pages have them
-        strides = (self._stride, cols * dtype.itemsize, dtype.itemsize)
-        self._mapped = MappedFrames(path, self.shape, dtype, first.dataoffsets[0], strides)
+        self._stored = StoredFrames(path, (rows, cols), dtype, first.dataoffsets[0], self._stride)
         self._stamp = tags[STAMP_TAG].valueoffset
 
     def frame(self, index: int) -> NDArray[Any]:
-        """Return frame `index`, (rows, cols), a view of the mapped file."""
-        return self._mapped.frame(index)
-
-    def block(self, indices: range) -> NDArray[Any]:
-        """Return the frames of a range of indices, (len(indices), rows, cols), a view of the mapped file."""
-        stop = indices.stop if indices.stop >= 0 else None
-        return self._mapped.array[indices.start : stop : indices.step]
+        """Return frame `index`, (rows, cols)."""
+        return self._stored.frame(index)
 
     def times_s(self) -> NDArray[np.float64]:
         """Return the time of each frame in seconds, (T,), from its page."""
@@ -72,7 +66,7 @@ class StridedTiff(FrameSource):
     def _stamps(self) -> NDArray[np.float64]:
         """Time in seconds and the camera's number of each frame, (T, 2)."""
         places = range(self._stamp, self._stamp + self.shape[0] * self._stride, self._stride)
-        return self._mapped.scattered(places, (2,), "<f8")
+        return self._stored.scattered(places, (2,), "<f8")
 
     def _whole_pages(self, file: io.BufferedReader, last: int) -> int:
         """Return the number of complete pages, which begin at offset `last` at most; later ones a crash cut off."""
@@ -88,8 +82,8 @@ class StridedTiff(FrameSource):
         return same_tags and _word(file, ifd + self._pointer) == ifd + self._head
 
     def close(self) -> None:
-        """Close the file; views that were returned stay valid."""
-        self._mapped.close()
+        """Close the file."""
+        self._stored.close()
 
 
 def is_strided(first: tifffile.TiffPage) -> bool:

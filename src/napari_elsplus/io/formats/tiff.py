@@ -15,7 +15,7 @@ from napari_elsplus.io.formats.ome_tiff import allocate_stack, fill_stack, write
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding, positive
 from napari_elsplus.io.formats.strided_tiff import StridedTiff, is_strided
-from napari_elsplus.io.mapped_frames import MappedFrames
+from napari_elsplus.io.stored_frames import StoredFrames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,14 +69,14 @@ class PagedTiff(FrameSource):
         dtype = np.dtype(first.dtype)
         super().__init__(path, (count, rows, cols), dtype, _metadata(tiff))
         offset = first.dataoffset
-        self._mapped = self._map(offset) if offset is not None else None
-        if self._mapped is None:
+        self._stored = self._stored_at(offset) if offset is not None else None
+        if self._stored is None:
             self._refuse_truncated(count if self._planes else len(first.pages))
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), as stored."""
-        if self._mapped is not None:
-            return self._mapped.frame(index)
+        if self._stored is not None:
+            return self._stored.frame(index)
         with self._lock:
             page = self._series.pages[0 if self._planes else index]
         if page is None:
@@ -86,14 +86,14 @@ class PagedTiff(FrameSource):
             return image[index, :, :]
         return image.reshape(self.shape[1:]) if image.size == self.shape[1] * self.shape[2] else image
 
-    def _map(self, offset: int) -> MappedFrames:
+    def _stored_at(self, offset: int) -> StoredFrames:
         dtype = np.dtype(self._tiff.byteorder + self.stored_dtype.char)
         end = offset + int(np.prod(self.shape, dtype=np.int64)) * dtype.itemsize
         if end > self._tiff.filehandle.size:
             raise InputError(
                 f"{self.path.name} is truncated: {self._tiff.filehandle.size} of {end} bytes", "copy or record it again"
             )
-        return MappedFrames(self.path, self.shape, dtype, offset)
+        return StoredFrames(self.path, self.shape[1:], dtype, offset)
 
     def _refuse_truncated(self, pages: int) -> None:
         if pages != self.shape[0]:
@@ -107,8 +107,8 @@ class PagedTiff(FrameSource):
 
     def close(self) -> None:
         """Close the file."""
-        if self._mapped is not None:
-            self._mapped.close()
+        if self._stored is not None:
+            self._stored.close()
         self._tiff.close()
 
 
