@@ -99,13 +99,35 @@ def test_frames_before_one_of_another_size_are_in_the_track(truth: Truth) -> Non
     assert not any(thread.name.startswith("link") for thread in threading.enumerate())
 
 
-def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_in_its_place() -> None:
-    def images() -> Iterator[NDArray[np.float32]]:
-        for number in range(3):
-            yield np.full((2, 2), number, np.float32)
-        raise ValueError("the fourth")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_in_its_place(threads: int) -> None:
+    def make(number: int) -> NDArray[np.float32]:
+        if number == 9:
+            raise ValueError("the tenth")
+        return np.full((2, 2), number, np.float32)
 
-    ahead = iter(ComputedAhead(images(), 4))
-    assert [int(next(ahead)[0, 0]) for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(ValueError, match="the fourth"):
+    ahead = iter(ComputedAhead(make, ((number,) for number in range(12)), 12, threads=threads))
+    assert [int(next(ahead)[0, 0]) for _ in range(9)] == list(range(9))
+    with pytest.raises(ValueError, match="the tenth"):
         next(ahead)
+    assert not any(thread.name.startswith("images") for thread in threading.enumerate())
+
+
+def test_frames_of_images_computed_ahead_are_read_by_the_caller_and_an_error_in_reading_is_raised() -> None:
+    readers, makers = set(), set()
+
+    def frames() -> Iterator[tuple[int]]:
+        for number in range(6):
+            readers.add(threading.current_thread())
+            yield (number,)
+        raise OSError("the seventh")
+
+    def make(number: int) -> NDArray[np.float32]:
+        makers.add(threading.current_thread())
+        return np.full((2, 2), number, np.float32)
+
+    with pytest.raises(OSError, match="the seventh"):
+        list(ComputedAhead(make, frames(), 8))
+    assert readers == {threading.current_thread()}
+    assert len(makers | readers) == 2
+    assert not any(thread.name.startswith("images") for thread in threading.enumerate())

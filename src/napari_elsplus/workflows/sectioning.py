@@ -19,7 +19,7 @@ from napari_elsplus.workflows.two_threads import ComputedAhead
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import DTypeLike, NDArray
 
@@ -156,7 +156,10 @@ class SectionedImages:
             return stack
         if not -len(self) <= index < len(self):
             raise IndexError(f"image {index} of {len(self)}")
-        raw, raw_residual = self._pairs(index % len(self))
+        return self._make(*self._pairs(index % len(self)))
+
+    def _make(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the image of a pair of raw frames."""
         if self._power is not None:
             return self._finish(self._power.image(raw, self.mode))
         return self._finish(self.sectioner.section(raw, raw_residual, self.mode))
@@ -184,7 +187,7 @@ class SectionedImages:
         force : bool
             Overwrite an existing file.
         threads : int
-            2 to compute the next image while one is written.
+            2 to compute the next images while the next frames are read and an image is written.
         progress : Progress
             Wraps the images' numbers.
 
@@ -193,8 +196,9 @@ class SectionedImages:
         InputError
             If no format writes the suffix, or the file exists and `force` is not given.
         """
-        images = self._images(progress(range(len(self)), self.mode.value))
-        write_images(path, ComputedAhead(images, len(self), threads=threads), self._metadata, force=force)
+        pairs = map(self._pairs, progress(range(len(self)), self.mode.value))
+        images = ComputedAhead(self._make, pairs, len(self), threads=threads)
+        write_images(path, images, self._metadata, force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.
@@ -216,10 +220,7 @@ class SectionedImages:
         span : range
             Indices of successive images.
         """
-        fill_images(path, span.start, self._images(span))
-
-    def _images(self, indices: Iterable[int]) -> Iterator[NDArray[np.float32]]:
-        return (self[index] for index in indices)
+        fill_images(path, span.start, (self[index] for index in span))
 
     @property
     def _metadata(self) -> ImageMetadata:

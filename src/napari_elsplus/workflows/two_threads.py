@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice, starmap
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from concurrent.futures import Future
     from types import TracebackType
 
@@ -30,28 +31,39 @@ class ComputedAhead:
 
     Parameters
     ----------
-    images : iterator of numpy.ndarray
-        Each computed when it is asked for, in an array of its own; asked for by the second thread alone.
+    make : callable
+        Makes an image, in an array of its own, of raw frames; called by the second thread alone.
+    frames : iterable of tuple
+        Arguments of `make` for each image; read by the caller's thread, some images ahead.
     count : int
         Number of images.
     threads : int
         1 to compute each image when the caller asks for it.
     """
 
-    def __init__(self, images: Iterator[NDArray[np.float32]], count: int, *, threads: Literal[1, 2] = 2) -> None:
-        self._images, self._count, self._threads = images, count, threads
+    def __init__(
+        self,
+        make: Callable[..., NDArray[np.float32]],
+        frames: Iterable[tuple[Any, ...]],
+        count: int,
+        *,
+        threads: Literal[1, 2] = 2,
+    ) -> None:
+        self._make, self._frames, self._count, self._threads = make, frames, count, threads
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
         if self._threads == 1:
-            yield from self._images
+            yield from starmap(self._make, self._frames)
             return
+        frames = iter(self._frames)
         with ThreadPoolExecutor(1, thread_name_prefix="images") as thread:
-            coming = deque(thread.submit(next, self._images, None) for _ in range(IMAGES_AHEAD))
-            while (image := coming.popleft().result()) is not None:
-                coming.append(thread.submit(next, self._images, None))
+            coming = deque(thread.submit(self._make, *each) for each in islice(frames, IMAGES_AHEAD))
+            while coming:
+                image = coming.popleft().result()
+                coming.extend(thread.submit(self._make, *each) for each in islice(frames, 1))
                 yield image
 
 
