@@ -62,6 +62,10 @@ def numpy_file(path, frames):
         np.save(file, frames)
 
 
+def fortran_file(path, frames):
+    numpy_file(path, np.asfortranarray(frames))
+
+
 def zarr_2(path, frames, zarr_format=2):
     group = zarr.open_group(path, mode="w", zarr_format=zarr_format)
     array = group.create_array("0", shape=frames.shape, dtype=frames.dtype, chunks=(2, 40, 64))
@@ -98,6 +102,7 @@ FORMATS = {
     "motorola.tif": big_endian,
     "tiled.tif": tiled,
     "stack.npy": numpy_file,
+    "fortran.npy": fortran_file,
     "v2.zarr": zarr_2,
     "v3.zarr": zarr_3,
     "array.zarr": zarr_array,

@@ -34,8 +34,8 @@ class Recording(ClosedOnExit):
 
     Notes
     -----
-    ``recording[k]`` is one frame (rows, cols); ``recording[a:b]`` is a stack (n, rows, cols), in
-    memory. Float recordings are read as float32 and each frame is checked for NaN.
+    ``recording[k]`` is one frame (rows, cols); ``recording[a:b]`` is a stack (n, rows, cols), all of it in memory.
+    Float recordings are read as float32 and each frame is checked for NaN.
     """
 
     def __init__(self, source: FrameSource) -> None:
