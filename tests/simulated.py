@@ -31,17 +31,22 @@ class Followed(NamedTuple):
         return np.array([(row.row_px, row.col_px) for row in self.pipeline.rows])
 
 
-def followed(path: Trajectory, name: str, frames: int, *, dark: slice = slice(0), finish: bool = True) -> Followed:
-    """A simulated recording, some frames of it dark, tracked, and refined if asked for."""
+def followed(
+    path: Trajectory, name: str, frames: int, *, dark: slice = slice(0), lost: slice = slice(0), finish: bool = True
+) -> Followed:
+    """A simulated recording, some frames of it dark or lost by the camera, tracked, and refined if asked for."""
     renderer = Renderer(INSTRUMENT, scene(name), path, seed=1)
     raw = np.stack([renderer.render(k) for k in range(frames)])
     raw[dark] = INSTRUMENT.black_dn
+    numbers = np.delete(np.arange(frames), lost)
+    pairs = RawPairs(raw[numbers], "els", numbers)
     optics = INSTRUMENT.optics
     calibration = true_calibration(INSTRUMENT, np.full(INSTRUMENT.frame_shape, INSTRUMENT.black_dn, np.float32))
     pipeline = Pipeline(calibration, INSTRUMENT.frame_shape)
-    for k in range(frames):
-        pipeline.track(raw[k], k)
+    for k in range(len(pairs)):
+        pipeline.skip(pairs.lost_before(k))
+        pipeline.track(pairs(k)[0], k)
     if finish:
-        pipeline.finish(RawPairs(raw, "els"))
-    times = (np.arange(frames) + INSTRUMENT.confocal_centre[0] / optics.line_periods_per_frame) * optics.frame_period_s
+        pipeline.finish(pairs)
+    times = (numbers + INSTRUMENT.confocal_centre[0] / optics.line_periods_per_frame) * optics.frame_period_s
     return Followed(pipeline, times, path.positions_um(times) / optics.um_per_px)

@@ -300,7 +300,7 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
     poses = settle(poses, links)
     true, errors, normalised = recording.positions, [], []
     right, avoidable = set(), 0
-    for earlier, later, moved, _link in links:
+    for earlier, later, moved, *_ in links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
         if poses[later].state is TrackingState.TRACKED:  # one that waited for the next has no standard deviation

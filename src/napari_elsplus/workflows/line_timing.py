@@ -41,6 +41,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     assumed = calibration.with_optics(line_periods_per_frame=float(shape[0]))
     tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
     for index in range(min(len(raw_pair), MAX_FRAMES)):
+        tracking.skip(raw_pair.lost_before(index))
         tracking.track(*raw_pair(index))
     found = tracking.line_periods_per_frame()
     if found is None:

@@ -108,6 +108,7 @@ def mosaic(
     insertion: Insertion | str = Insertion.DEAD_LEAF,
     flat: NDArray[Any] | None = None,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
+    frame_numbers: Sequence[int] | NDArray[np.int64] | None = None,
     threads: Literal[1, 2] = 2,
     progress: Progress = without_display,
 ) -> MosaicResult:
@@ -137,6 +138,9 @@ def mosaic(
         the cores; the mean of the frames by default.
     times_s : sequence of float, optional
         (T,) time of each frame; the recording's by default.
+    frame_numbers : sequence of int, optional
+        (T,) the camera's number of each frame, by which frames that it lost are known, and with them how far the probe
+        may have moved meanwhile; the recording's by default, none lost in an array.
     threads : int
         2 to register a frame while the next is sectioned, 1 where the cores are shared; the result is the same.
     progress : Progress
@@ -159,7 +163,7 @@ def mosaic(
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
     pipeline, calibration, notes = _tracked(
-        raw, calibration, shown, method, insertion, times_s, threads, progress, flat
+        raw, calibration, shown, method, insertion, times_s, frame_numbers, threads, progress, flat
     )  # fmt: skip
     pipeline.finish(RawPairs(raw, shown), lambda numbers: progress(numbers, "Mosaic"))
     largest = max(pipeline.mosaics.values(), key=_area_px, default=None)
@@ -188,6 +192,7 @@ def track(
     finished: bool = False,
     method: str = Method.ELSPLUS,
     times_s: Sequence[float] | NDArray[np.float64] | None = None,
+    frame_numbers: Sequence[int] | NDArray[np.int64] | None = None,
     progress: Progress = without_display,
 ) -> list[TrackPoint]:
     """Track the probe through raw frames or finished images; the track of :func:`mosaic` without its images.
@@ -202,7 +207,9 @@ def track(
     """
     _check_arguments(calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    pipeline, _, _ = _tracked(raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, 2, progress)
+    pipeline, _, _ = _tracked(
+        raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, frame_numbers, 2, progress
+    )  # fmt: skip
     pipeline.refine(RawPairs(raw, shown))
     return pipeline.rows
 
@@ -224,6 +231,7 @@ def _tracked(
     method: str,
     insertion: Insertion | str,
     times_s: Sequence[float] | NDArray[np.float64] | None,
+    frame_numbers: Sequence[int] | NDArray[np.int64] | None,
     threads: Literal[1, 2],
     progress: Progress,
     flat: NDArray[Any] | None = None,
@@ -232,7 +240,9 @@ def _tracked(
 
     Frames without a calibration are finished images.
     """
-    pairs = RawPairs(raw, mode)
+    if frame_numbers is None and isinstance(raw, Recording):
+        frame_numbers = raw.frame_numbers
+    pairs = RawPairs(raw, mode, frame_numbers)
     if times_s is None:
         times_s = raw.times_by(calibration) if isinstance(raw, Recording) else getattr(raw, "times_s", None)
     note = ""
@@ -246,10 +256,11 @@ def _tracked(
         require_agreement(raw, calibration)
         pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
-        add = pipeline.track if ahead is None else ahead.add
+        skip, add = (pipeline.skip, pipeline.track) if ahead is None else (ahead.skip, ahead.add)
         for index in progress(range(len(pairs)), "Tracking"):
             frame = pairs.frame(index)
             confocal, residual = pairs(index)
+            skip(pairs.lost_before(index))
             add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
     return pipeline, calibration, (note,) if note else ()
 

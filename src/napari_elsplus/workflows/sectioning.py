@@ -19,7 +19,7 @@ from napari_elsplus.workflows.two_threads import ComputedAhead
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import DTypeLike, NDArray
 
@@ -41,6 +41,8 @@ class RawPairs:
         Raw frames.
     mode : Mode or str
         Image type, which determines the pairs: :meth:`Mode.source_frames`.
+    frame_numbers : sequence of int, optional
+        (T,) the camera's number of each frame, where gaps are lost frames; none were lost by default.
 
     Raises
     ------
@@ -48,8 +50,11 @@ class RawPairs:
         If the recording is too short for a single pair.
     """
 
-    def __init__(self, frames: Frames, mode: Mode | str) -> None:
+    def __init__(
+        self, frames: Frames, mode: Mode | str, frame_numbers: Sequence[int] | NDArray[np.int64] | None = None
+    ) -> None:
         self._frames = frames
+        self._numbers = frame_numbers
         self._mode = Mode(mode)
         if len(self) == 0:
             needed = self._mode.frames_per_image
@@ -63,6 +68,13 @@ class RawPairs:
     def frame(self, index: int) -> int:
         """Index of the confocal view's frame in the recording."""
         return self._mode.source_frames(index)[0]
+
+    def lost_before(self, index: int) -> int:
+        """Return how many images were lost between the one before and this one, by the camera's frame numbers."""
+        if index == 0 or self._numbers is None:
+            return 0
+        passed = int(self._numbers[self.frame(index)] - self._numbers[self.frame(index - 1)])
+        return max(passed // self._mode.frames_per_image - 1, 0)  # a camera that is started again counts from 0
 
     def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the frames of the confocal and of the residual view."""

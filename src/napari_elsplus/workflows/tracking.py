@@ -164,6 +164,10 @@ class Pipeline:
         """Write the tracking image (side, side) of a raw frame into `out`: the first stage of :meth:`add`."""
         self._tracking.prepare_image(raw, raw if raw_residual is None else raw_residual, out)
 
+    def skip(self, frames: int) -> None:
+        """Take note that images were lost before the next one, in the time of which the probe went on moving."""
+        self._tracking.skip(frames)
+
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """Return the pose of the next frame from its tracking image: the second stage of :meth:`add`."""
         return self._tracking.estimate_pose(image)

@@ -88,7 +88,12 @@ class Pipelined:
         self._images = deque(np.zeros((pipeline.grid.side,) * 2, np.float32) for _ in range(AHEAD))
         self._batch: list[_Prepared] = []
         self._under_way: deque[Future[None]] = deque()
+        self._lost = 0
         self._broken = False
+
+    def skip(self, frames: int) -> None:
+        """Take note that images were lost before the next one, as :meth:`Pipeline.skip` does."""
+        self._lost += frames
 
     def add(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
@@ -103,7 +108,8 @@ class Pipelined:
         image = self._images[0]
         self._pipeline.prepare_image(raw, image, raw_residual)
         self._images.rotate(-1)
-        self._batch.append(_Prepared(image, frame, time_s))
+        self._batch.append(_Prepared(image, frame, time_s, self._lost))
+        self._lost = 0
         if len(self._batch) == BATCH:
             self._submit()
 
@@ -123,7 +129,8 @@ class Pipelined:
         if self._broken:
             return
         self._broken = True
-        for image, frame, time_s in batch:
+        for image, frame, time_s, lost in batch:
+            self._pipeline.skip(lost)
             pose = self._pipeline.estimate_pose(image)
             self._pipeline.append(image, pose, frame, time_s, insert=self._insert)
         self._broken = False
@@ -143,8 +150,9 @@ class Pipelined:
 
 
 class _Prepared(NamedTuple):
-    """Tracking image of a frame, its number and its time."""
+    """Tracking image of a frame, its number, its time, and how many were lost before it."""
 
     image: NDArray[np.float32]
     frame: int
     time_s: float
+    lost: int

@@ -79,6 +79,18 @@ print([kernel.__name__ for kernel in called if not kernel.signatures])
     assert said.strip() == "[]"
 
 
+def test_frames_that_the_stream_lost_are_told_by_its_numbers() -> None:
+    frames, calibration = truth().frames, truth().calibration
+    live = LiveTrack(calibration, frames.shape[1:], MosaicPlan())
+    alone = Pipeline(calibration, frames.shape[1:])
+    for k in [*range(12), *range(16, 30)]:
+        live.add(frames[k], stamp(k))
+        alone.skip(4 if k == 16 else 0)
+        alone.add(frames[k], k, k / 240)
+    assert repr(live.pipeline.rows) == repr(alone.rows)
+    assert {row.state for row in alone.rows} == {"tracked"}
+
+
 def test_a_stream_that_starts_again_goes_on_counting() -> None:
     frames, calibration = truth().frames, truth().calibration
     live = LiveTrack(calibration, frames.shape[1:], MosaicPlan())

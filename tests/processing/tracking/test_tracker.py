@@ -179,6 +179,20 @@ def test_a_turning_probe_that_was_lost_is_expected_to_turn_on_as_before() -> Non
     assert np.abs(seen.found_px[168:] - seen.found_px[168] - moved).max() < 0.3
 
 
+def test_a_probe_goes_on_turning_while_the_camera_loses_frames() -> None:
+    """By 3.1 degrees in three lost frames; registered anew once the turning is known, the frames are as far apart."""
+    path = Turning(Spiral(8000.0), 250.0)
+    for finish in (False, True):
+        seen = followed(path, "fibres", 50, lost=slice(30, 33), finish=finish)
+        poses = seen.pipeline.poses
+        assert {(pose.segment, pose.state.value) for pose in poses} == {(0, "tracked")}
+        turned = np.array([pose.angle for pose in poses]) - path.angles_rad(seen.times_s)
+        assert np.abs(np.rad2deg(turned[20:] - turned[20])).max() < 0.2
+        upright = turned_by(float(turned[20]))
+        moved = (seen.positions_px - seen.positions_px[20]) @ upright.T
+        assert np.abs(seen.found_px - seen.found_px[20] - moved)[20:].max() < 0.8  # 0.6 where no frame is lost
+
+
 def test_a_first_frame_that_shows_nothing_is_lost() -> None:
     """Nothing was linked to it: it has no place among the others, which are one segment."""
     truth = record(fibres(1200, 300, 4), smooth_path(16, 20.0, 1200, 5))

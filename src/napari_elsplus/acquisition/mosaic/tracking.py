@@ -150,6 +150,8 @@ class LiveTrack:
             if self._loop_closure is not None and self._loop_closure.failed is not None:
                 raise self._loop_closure.failed
             number, time_s = self._since_first_frame(stamp)
+            if self.pipeline.rows:
+                self.pipeline.skip(number - self.pipeline.rows[-1].frame - 1)
             pose, image = self.pipeline.locate(raw)
             place = self._corrections.newest(pose.segment).of(pose)
             self.pipeline.append(image, place, number, time_s, insert=False)

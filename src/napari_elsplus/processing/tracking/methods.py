@@ -78,6 +78,16 @@ class TrackingMethod(Protocol):
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """Return the pose of the next frame from its prepared image."""
 
+    def skip(self, frames: int) -> None:
+        """Take note that frames were lost before the next one; methods without a model of the motion need not.
+
+        Parameters
+        ----------
+        frames : int
+            Frame periods that passed without a frame while the probe went on moving; 0 if none was lost.
+        """
+        del frames
+
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         """Return the image of a raw frame.
 
@@ -170,6 +180,10 @@ class RegistrationTracking(FrontEndImages):
         self.prepare_image(raw, raw_residual, image)
         return self._tracker.add(), image
 
+    def skip(self, frames: int) -> None:
+        """See :meth:`TrackingMethod.skip`."""
+        self._tracker.skip(frames)
+
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """See :meth:`TrackingMethod.estimate_pose`."""
         self._tracker.slot()[:] = image
@@ -183,6 +197,7 @@ class RegistrationTracking(FrontEndImages):
     def discard_registrations(self) -> None:
         """See :meth:`TrackingMethod.discard_registrations`."""
         self._tracker.links.clear()
+        self._tracker.lost.clear()
 
     @property
     def newest_registration(self) -> TrackedPair | None:
@@ -206,9 +221,11 @@ class RegistrationTracking(FrontEndImages):
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
-            again = Tracker(registrar.grid, registrar, next((e.turn / (b - a) for a, b, _, e in links if e.turn), 0.0))
+            rates = (link.registration.turn / link.periods for link in links if link.registration.turn)
+            again, lost = Tracker(registrar.grid, registrar, next(rates, 0.0)), self._tracker.lost
             links = again.links
             for index in range(len(poses)):
+                again.skip(lost.get(index, 0))
                 again.slot()[:] = image(index)
                 poses[index] = again.add()
         return refine(poses, borne_out(poses, links), PoseGraph(NodeRegistration(registrar), frame), model)
@@ -258,7 +275,7 @@ def reviewed_model(
     keys = {link.earlier for link in links}
     between = [link for link in links if link.later in keys]  # others share a keyframe, and its errors
     chosen = between[:: -(-len(between) // _MAX_TESTED) or 1]
-    asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link in chosen]
+    asked = [(registrar.remainder(view(a), view(b), link.warp, _LOOSE), link) for a, b, _, link, _ in chosen]
     every = [found for found, _ in asked if found is not None]
     sure = [found for found, link in asked if found is not None and link.tells_turn]
     return min(selected_model(every), selected_model(sure))

@@ -53,10 +53,11 @@ _WAITING_ODDS_NATS: Final = 0.0
 
 @dataclass(slots=True)
 class _Placed:
-    """A frame that others can be linked to."""
+    """A frame that others can be linked to: the `index`-th that was added, taken in the `period`-th frame period."""
 
     view: PreparedFrame
     index: int = -1
+    period: int = -1
     row: float = 0.0
     col: float = 0.0
     velocity: Velocity = AT_REST
@@ -90,6 +91,8 @@ class Tracker:
     ----------
     links : list of TrackedPair
         All registrations that were accepted.
+    lost : dict of int to int
+        How many frames were lost before some, by the count of those that were added.
     """
 
     def __init__(self, grid: Grid, registrar: Registrar | None = None, turn_rate: float | None = None) -> None:
@@ -97,6 +100,7 @@ class Tracker:
         self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
         self.registrar = registrar or Registrar(grid)
         self.links: list[TrackedPair] = []
+        self.lost: dict[int, int] = {}
         self._slots = [self.registrar.view() for _ in range(4)]
         self._selection = ModelSelection(MotionModel.TRANSLATION if turn_rate is None else MotionModel.RIGID)
         self._newest: PairRegistration | None = None
@@ -110,7 +114,7 @@ class Tracker:
         self._variance, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
-        self._frames = 0
+        self._frames = self._periods = 0
         self._coming = self._free()
 
     @property
@@ -122,11 +126,24 @@ class Tracker:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
         return self._coming.image
 
+    def skip(self, frames: int) -> None:
+        """Take note that frames were lost before the next one, while the probe went on moving.
+
+        Parameters
+        ----------
+        frames : int
+            Frame periods without a frame; 0 if none was lost.
+        """
+        if frames:
+            self._periods += frames
+            self.lost[self._frames] = self.lost.get(self._frames, 0) + frames
+
     def add(self) -> Pose:
         """Track the image in the current slot."""
         self._coming.renew()
-        here = _Placed(self._coming, self._frames)
+        here = _Placed(self._coming, self._frames, self._periods)
         self._frames += 1
+        self._periods += 1
         if here.index == 0:
             self._key = self._last = here
             pose = Pose(self._segment, 0.0, 0.0, AT_REST, nan, nan, TrackingState.TRACKED)
@@ -150,25 +167,25 @@ class Tracker:
         start waits, it is tested first.
         """
         last = self._last
-        if here.index - last.index <= PATIENCE_FRAMES:
+        if self._previous is last or here.period - last.period <= PATIENCE_FRAMES:
             return self._continue(here) or self._restart(here)
-        reachable = hypot(*self._expected(last, here.index)) <= self._max_displacement_px
+        reachable = hypot(*self._expected(last, here.period)) <= self._max_displacement_px
         continues = here.index % 2 and reachable and self._start is None
         return self._continue(here) if continues else self._restart(here)
 
     def _continue(self, here: _Placed) -> Pose | None:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
-        ahead = self._expected(key, here.index)
+        ahead = self._expected(key, here.period)
         rigid = not self._usual < self.registrar.rigid_correlation
         renew = hypot(*ahead) > (KEY_FRAME_REACH * self.grid.diameter if rigid else 0.0)
         if self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             self._test_rotation(renew=renew)
         if renew:
             key = self._key = last
-            ahead = self._motion.ahead(here.index - last.index)
+            ahead = self._motion.ahead(here.period - last.period)
         elif self.model is not MotionModel.TRANSLATION:
-            ahead = self._expected(key, here.index)
+            ahead = self._expected(key, here.period)
         if hypot(*ahead) > self._max_displacement_px:
             return None
         motion = self._prior(key, here, ahead)
@@ -193,8 +210,8 @@ class Tracker:
     def _start_at(self, previous: _Placed, here: _Placed) -> Pose | None:
         """Begin a segment under the widest prior; where the odds do not suffice the registration waits for the next."""
         self._motion, self._turning = self._unknown_motion(), Turning(self._turning.rate, self._turning.surprise)
-        self._key = self._last = origin = _Placed(previous.view, previous.index)
-        motion = self._widest
+        self._key = self._last = origin = _Placed(previous.view, previous.index, previous.period)
+        motion = self._widest(here.period - previous.period)
         waits = self.model is MotionModel.TRANSLATION
         link = self._link(origin, here, motion, _WAITING_ODDS_NATS if waits else MIN_ODDS_NATS)
         if link is None or not self._place(origin, here, link, motion):
@@ -211,12 +228,12 @@ class Tracker:
         correlate alike.
         """
         self._motion, self._key, self._last = start.motion, start.later, start.later
-        motion = self._prior(start.later, here, self._expected(start.later, here.index))
+        motion = self._prior(start.later, here, self._expected(start.later, here.period))
         link, waited = self._link(start.later, here, motion), start.found.registration
         if link is None or abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
             return None
         _, b, _, d = link.warp
-        rise = motion.log_density(b, d) - self._widest.log_density(b, d)
+        rise = motion.log_density(b, d) - self._widest(here.period - start.later.period).log_density(b, d)
         if waited.odds + rise < MIN_ODDS_NATS or not self._place(start.later, here, link, motion):
             return None
         self.links.insert(-1, start.found)
@@ -226,25 +243,24 @@ class Tracker:
         """Return the motion of a probe of which only is known how unpredictable it has been so far."""
         return Motion(self.grid.shutter, FIELD * self.grid.diameter, self._motion.surprise)
 
-    @property
-    def _widest(self) -> MotionPrior:
-        """Prior of the motion between successive frames where no velocity is known."""
-        return self._unknown_motion().prior(Displacement(0.0, 0.0), 1)
+    def _widest(self, periods: int) -> MotionPrior:
+        """Return the prior of the motion between frames so many periods apart where no velocity is known."""
+        return self._unknown_motion().prior(Displacement(0.0, 0.0), periods)
 
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
         """Begin a segment with a frame that was placed."""
         here.row = here.col = here.angle = 0.0
         self._key = here
         self._segment += 1
-        self._began = self._tested = here.index
+        self._began = self._tested = here.period
         self._covered, self._turned = 0, 0.0
         return self._track(here, link)
 
     def _coast(self, here: _Placed) -> Pose:
         """Predict a frame that cannot be linked, or give the track up."""
         last = self._last
-        ahead = self._expected(last, here.index)
-        patient = here.index - last.index <= PATIENCE_FRAMES
+        ahead = self._expected(last, here.period)
+        patient = here.period - last.period <= PATIENCE_FRAMES
         if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
         row, col = turned_by(last.angle) @ ahead
@@ -257,26 +273,26 @@ class Tracker:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
         key, last, link = self._key, self._last, self._newest
         wait = 1 if self._fell and not renew else _TEST_EVERY
-        if link is None or last is key or last.index - self._tested < wait or not link.tells_turn:
+        if link is None or last is key or last.period - self._tested < wait or not link.tells_turn:
             return
-        self._tested = last.index
+        self._tested = last.period
         found = self.registrar.remainder(key.view, last.view, link.warp, self._motion.spread_of_stretch)
         if found is None:
             return
-        apart, turn = last.index - key.index, -float(found.step[-1])
+        apart, turn = last.period - key.period, -float(found.step[-1])
         model = self._selection.weigh(found, keep=renew)
         covered, turned = self._covered + apart, self._turned + turn
         if model is not MotionModel.TRANSLATION:
             self._turning.rate = turned / covered
-            last.angle = self._turning.rate * (last.index - self._began)
+            last.angle = self._turning.rate * (last.period - self._began)
             key.angle = last.angle - turn
         elif renew:
             self._covered, self._turned = covered, turned
 
-    def _expected(self, earlier: _Placed, index: int) -> Displacement:
+    def _expected(self, earlier: _Placed, period: int) -> Displacement:
         """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
-        ahead = self._motion.ahead(index - last.index)
+        ahead = self._motion.ahead(period - last.period)
         gone = last.row - earlier.row, last.col - earlier.col
         if self.model is not MotionModel.TRANSLATION:
             row, col = turned_by(-last.angle) @ gone
@@ -288,7 +304,7 @@ class Tracker:
         last = self._last
         before = None if earlier is last else (earlier.velocity, earlier.velocity_variance)
         share = MIN_SHARE if self.model is MotionModel.TRANSLATION else MIN_SHARE_TURNING
-        return self._motion.prior(ahead, here.index - last.index, before, share)
+        return self._motion.prior(ahead, here.period - last.period, before, share)
 
     def _link(
         self, earlier: _Placed, here: _Placed, motion: MotionPrior, min_odds_nats: float = MIN_ODDS_NATS
@@ -306,7 +322,7 @@ class Tracker:
     def _expected_turn(self, earlier: _Placed, here: _Placed) -> Turn:
         """Return the rotation between two frames that the turning so far suggests."""
         last, rate = self._last, self._turning.rate
-        gap, apart = here.index - last.index, here.index - earlier.index
+        gap, apart = here.period - last.period, here.period - earlier.period
         return Turn(last.angle - earlier.angle + rate * gap, self._turning.spread(gap), apart)
 
     @property
@@ -318,7 +334,11 @@ class Tracker:
         """Set a frame's pose, follow its motion; return False if the probe moved too unevenly within the frames."""
         shutter, expected = self.grid.shutter, motion.displacement
         moved = shutter.displacement(link.warp, link.velocity)
-        missed_px = hypot(moved.row - expected.row, moved.col - expected.col)
+        gap = here.period - self._last.period
+        lost = gap - (
+            here.index - self._last.index
+        )  # frames that came and were not linked tell of a jolt, these do not
+        missed_px = hypot(moved.row - expected.row, moved.col - expected.col) / (1 + lost)
         jerk_sigma = self._motion.jerk_sigma(link.velocity, link.warp, missed_px)
         uneven_px = self._motion.uneven_px(jerk_sigma)
         if uneven_px > _UNEVEN_PX and self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
@@ -337,11 +357,10 @@ class Tracker:
         here.angle, here.velocity = earlier.angle + link.turn, after
         row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle) @ moved
         here.row, here.col = earlier.row + float(row), earlier.col + float(col)
-        gap = here.index - self._last.index
         if self.model is not MotionModel.TRANSLATION:
             self._turning.follow(here.angle - self._last.angle, gap)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
-        self.links.append(TrackedPair(earlier.index, here.index, moved, link))
+        self.links.append(TrackedPair(earlier.index, here.index, moved, link, here.period - earlier.period))
         return True
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:

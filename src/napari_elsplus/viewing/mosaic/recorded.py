@@ -51,6 +51,8 @@ class StackMosaics:
         Modes, method and insertion.
     times_s : sequence of float, optional
         Acquisition time of each frame; by default from the calibration's frame period, where known.
+    frame_numbers : sequence of int, optional
+        The camera's number of each frame, where gaps are lost frames; none were lost by default.
     finished : bool
         True for finished images, which are tracked at their own resolution; the plan then has one mode, LS.
 
@@ -75,6 +77,7 @@ class StackMosaics:
         calibration: Calibration,
         plan: MosaicPlan,
         times_s: Sequence[float] | None = None,
+        frame_numbers: Sequence[int] | None = None,
         *,
         finished: bool = False,
     ) -> None:
@@ -83,7 +86,7 @@ class StackMosaics:
         self.notes: list[str] = []
         self.revision = 0
         self._frames = TrackableFrames(frames)
-        self._pairs = RawPairs(self._frames, plan.tracked)
+        self._pairs = RawPairs(self._frames, plan.tracked, frame_numbers)
         self._frames.require_contrast()
         self._times_s = times_s
         self._field = sample_field(self._frames) if finished else None
@@ -158,6 +161,7 @@ class StackMosaics:
         for index in progress(range(len(self._pairs))):
             frame = self._pairs.frame(index)
             raw, raw_residual = self._pairs(index)
+            self._lead.skip(self._pairs.lost_before(index))
             self.rows.append(self._lead.add(raw, frame, self._time_s(frame), raw_residual))
             self._follow(self._followers, self._lead.poses[-1], frame)
         self._refine(progress)

@@ -109,7 +109,12 @@ class MosaicPanel(EnginePanel):
 
             def made() -> StackMosaics:
                 mosaics = StackMosaics(
-                    source.frames, source.calibration, plan, source.times_s, finished=source.finished
+                    source.frames,
+                    source.calibration,
+                    plan,
+                    source.times_s,
+                    source.frame_numbers,
+                    finished=source.finished,
                 )
                 mosaics.compile_kernels()
                 self._stack = mosaics  # displayed from now on

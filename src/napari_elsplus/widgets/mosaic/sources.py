@@ -37,6 +37,8 @@ class MosaicSource:
         Of the frames; nominal for finished images.
     times_s : sequence of float, optional
         Acquisition times.
+    frame_numbers : sequence of int, optional
+        The camera's numbers; gaps are lost frames.
     titles : mapping
         Titles of the modes.
     finished : bool
@@ -46,6 +48,7 @@ class MosaicSource:
     frames: Frames
     calibration: Calibration
     times_s: Sequence[float] | None
+    frame_numbers: Sequence[int] | None
     titles: Mapping[Mode, str]
     finished: bool = False
 
@@ -112,13 +115,15 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
             "choose the calibration that belongs to it, or none",
         )
     stack = facts.get("stack")
-    times_s = stack.recording.times_by(calibration) if stack is not None and stack.recording is not None else None
+    recording = None if stack is None else stack.recording
+    times_s = None if recording is None else recording.times_by(calibration)
     frames = stack.planes if stack is not None and raw else _Planes(layer.data)
     if calibration is not None:
-        return MosaicSource(frames, calibration, times_s, TITLES)
+        numbers = None if recording is None else recording.frame_numbers
+        return MosaicSource(frames, calibration, times_s, numbers, TITLES)
     um = float(layer.scale[-1]) if str(layer.units[-1]) in ("micrometer", "um") else None
     return MosaicSource(
-        frames, calibration_of_finished_images(frames, um), times_s, {Mode.LS: layer.name}, finished=True
+        frames, calibration_of_finished_images(frames, um), times_s, None, {Mode.LS: layer.name}, finished=True
     )
 
 

@@ -57,6 +57,14 @@ def test_displacement_of_a_smooth_motion_is_the_mean_of_the_velocities_at_every_
     np.testing.assert_allclose(found, (before, after), atol=1e-6)
 
 
+@pytest.mark.parametrize("shutter", [SHUTTER, RollingShutter(math.inf)], ids=["rolling", "global"])
+def test_velocities_of_frames_further_apart_are_those_per_frame_period(shutter: RollingShutter) -> None:
+    after = AFTER if math.isfinite(shutter.line_periods_per_frame) else BEFORE  # the warp then tells their mean alone
+    moved = Displacement(*(4 * np.array(shutter.step(BEFORE, after))))
+    found = shutter.velocities(shutter.warp(BEFORE, after, moved), periods=4)
+    np.testing.assert_allclose(found, (BEFORE, after), atol=1e-9)
+
+
 def test_without_a_rolling_shutter_the_displacement_is_minus_the_shift() -> None:
     still = RollingShutter(math.inf)
     warp = Warp(1.0, -8.0, 0.0, 3.0)

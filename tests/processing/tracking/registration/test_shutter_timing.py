@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_line_periods_per_frame
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -15,7 +15,7 @@ from recordings import record, smooth_path, texture
 TRUE = RollingShutter(272.4)
 
 
-def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
+def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list[TrackedPair]:
     """Links of a probe with these velocities, their stretch and shear known to so much."""
     rng = np.random.default_rng(seed)
     found = []
@@ -23,7 +23,7 @@ def links(velocities: np.ndarray, noise: float = 3e-4, seed: int = 0) -> list:
         step = TRUE.step(Velocity(*before), Velocity(*after))
         warp = TRUE.warp(Velocity(*before), Velocity(*after), step)
         warp = warp._replace(a=warp.a + rng.normal(0, noise), s=warp.s + rng.normal(0, noise))
-        found.append((k, k + 1, step, PairRegistration(warp, 1e4 * np.eye(4), 0.99, 0.9, 50.0)))
+        found.append(TrackedPair(k, k + 1, step, PairRegistration(warp, 1e4 * np.eye(4), 0.99, 0.9, 50.0)))
     return found
 
 
@@ -48,8 +48,14 @@ def test_links_whose_stretch_the_timing_told_tell_nothing_of_it() -> None:
     t = np.arange(80) * 0.12
     found = links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1))
     assert estimate_line_periods_per_frame(found, TRUE) is not None
-    little = [(a, b, moved, link._replace(information=10 * np.eye(4))) for a, b, moved, link in found]
+    little = [link._replace(registration=link.registration._replace(information=10 * np.eye(4))) for link in found]
     assert estimate_line_periods_per_frame(little, TRUE) is None
+
+
+def test_links_across_lost_frames_tell_nothing_of_the_timing() -> None:
+    t = np.arange(80) * 0.12
+    found = links(np.stack([25 * np.sin(t), 20 * np.cos(1.3 * t)], 1))
+    assert estimate_line_periods_per_frame([link._replace(periods=2) for link in found], TRUE) is None
 
 
 def untimed(speed: float) -> tuple[float | None, str]:

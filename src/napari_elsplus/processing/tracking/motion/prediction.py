@@ -129,7 +129,8 @@ class Motion:
         warp : Warp
             From the earlier to the later frame.
         missed_px : float
-            Distance of the displacement from the expected one: a jolt between two frames lies in part within them.
+            Distance of the displacement from the expected one, over one more than the frames that were lost meanwhile:
+            a jolt between two frames lies in part within them.
         """
         if not self._read:
             return 0.0

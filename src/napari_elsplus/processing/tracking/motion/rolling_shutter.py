@@ -114,16 +114,23 @@ class RollingShutter:
         """
         return warp_between(before, after, displacement, self.line_periods_per_frame)
 
-    def velocities(self, warp: Warp) -> tuple[Velocity, Velocity]:
-        """Velocities of both of two successive frames, from the warp between them alone.
+    def velocities(self, warp: Warp, periods: int = 1) -> tuple[Velocity, Velocity]:
+        """Velocities of both of two frames, from the warp between them alone.
 
-        The four parameters are just enough, because the displacement is the mean of the velocities.
+        The four parameters are just enough, because the displacement is the mean of the velocities, times the time.
+
+        Parameters
+        ----------
+        warp : Warp
+            From the earlier to the later frame.
+        periods : int
+            Frame periods between them: 1 for successive frames.
         """
-        r = self.line_periods_per_frame
+        r, b, d = self.line_periods_per_frame, warp.b / periods, warp.d / periods
         if not isfinite(r):
-            return (steady := Velocity(-warp.b, -warp.d)), steady
-        stretch = 1 / ((warp.a + 1) / 2 + warp.b / r)
-        col = -stretch * (warp.d + warp.s * r / 2)
+            return (steady := Velocity(-b, -d)), steady
+        stretch = 1 / ((warp.a + 1) / 2 + b / r)
+        col = -stretch * (d + warp.s * r / 2)
         return (
             Velocity(r * (warp.a * stretch - 1), warp.s * r + warp.a * col),
             Velocity(r * (stretch - 1), col),

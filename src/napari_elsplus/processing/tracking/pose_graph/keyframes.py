@@ -90,7 +90,7 @@ class KeyframeSelector:
         nodes, before, newest = [], known[1], self._newest
         self._gone += abs(pose.at - before.at)
         if link is not None and isnan(before.score):
-            velocity, _ = self._shutter.velocities(link.registration.warp)
+            velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
             nodes.append(Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0))
         self._newest, begins_to_turn = link, False
         if link is not None and newest is not None:

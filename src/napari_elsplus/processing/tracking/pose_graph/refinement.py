@@ -68,7 +68,7 @@ def refine(
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
     edges = [
         Edge(a, b, complex(*moved), edge_covariance(link, stretch))
-        for a, b, moved, link in links
+        for a, b, moved, link, _ in links
         if tracked.get(a, -1) == tracked.get(b, -2)
     ]
     at, angle = np.array([pose.at for pose in placed]), np.array([pose.angle for pose in placed])
@@ -154,7 +154,8 @@ def with_origins(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: R
         Timing of the rows.
     """
     result = list(poses)
-    for earlier, later, moved, link in reversed(links):  # two of them begin a segment where the first had to wait
+    # two of them begin a segment where the first had to wait
+    for earlier, later, moved, link, periods in reversed(links):
         first, after = result[earlier], result[later]
         begins = first.state is TrackingState.TRACKED and np.isnan(first.score)
         alone = earlier == 0 or np.isnan(result[earlier - 1].score)
@@ -162,7 +163,7 @@ def with_origins(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: R
             continue
         if begins or (first.state is TrackingState.LOST and alone):
             at, angle = after.at - rect(1, after.angle) * complex(*moved), after.angle - link.turn
-            velocity, _ = shutter.velocities(link.warp)
+            velocity, _ = shutter.velocities(link.warp, periods)
             first = first._replace(velocity=velocity, score=np.nan, sigma=np.nan, state=TrackingState.TRACKED)
             result[earlier] = first.placed(at, angle, after.segment)
     return result

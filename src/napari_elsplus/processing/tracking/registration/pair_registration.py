@@ -151,12 +151,15 @@ class TrackedPair(NamedTuple):
         Of the later frame from the earlier one, in the later one's orientation, pixels.
     registration : PairRegistration
         Of the two.
+    periods : int
+        Frame periods between them, those of lost frames included.
     """
 
     earlier: int
     later: int
     displacement: Displacement
     registration: PairRegistration
+    periods: int = 1
 
 
 class Turn(NamedTuple):

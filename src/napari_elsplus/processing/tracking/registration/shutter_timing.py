@@ -51,8 +51,8 @@ def estimate_line_periods_per_frame(
         None if the motion was too even, or too slow, to estimate it within 3 %.
     """
     # with little in view stretch and shear come from the prior, which assumes the timing that is to be estimated
-    free = (found for found in links if found[1] == found[0] + 1 and found[3].tells_turn)
-    warps = {earlier: link.warp for earlier, _, _, link in free}
+    free = (link for link in links if link.later == link.earlier + 1 and link.periods == 1)
+    warps = {link.earlier: link.registration.warp for link in free if link.registration.tells_turn}
     runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
     if len(runs) < _FEWEST:
         return None
