@@ -163,6 +163,56 @@ def test_threads_may_read_at_once(tmp_path, frames, name):
             np.testing.assert_array_equal(frame, frames[k])
 
 
+def test_threads_may_read_a_stack_in_several_files_at_once(tmp_path):
+    """As Micro-Manager splits long ones: each page is in a file of its own, which is opened when it is needed."""
+    files, pages = 3, 20
+    for file in range(files):
+        with tifffile.TiffWriter(tmp_path / f"part_{file}.ome.tif") as writer:
+            for page in range(pages):
+                pixels = np.full((120, 200), file * pages + page, np.uint16)
+                words = _words_of_parts(files, pages, file) if page == 0 else None
+                writer.write(pixels, description=words, metadata=None, contiguous=False)
+    order = np.random.default_rng(2).integers(0, files * pages, 600)
+    with open_recording(tmp_path / "part_0.ome.tif") as recording, ThreadPoolExecutor(4) as pool:
+        assert len(recording) == files * pages
+        for k, frame in zip(order, pool.map(recording.__getitem__, order), strict=True):
+            assert (frame == k).all()
+
+
+def _words_of_parts(files, pages, me):
+    data = "".join(
+        f'<TiffData IFD="{k % pages}" PlaneCount="1" FirstT="{k}" FirstC="0" FirstZ="0">'
+        f'<UUID FileName="part_{k // pages}.ome.tif">urn:uuid:{k // pages:036}</UUID></TiffData>'
+        for k in range(files * pages)
+    )
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+        f'UUID="urn:uuid:{me:036}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint16" '
+        f'SizeX="200" SizeY="120" SizeC="1" SizeZ="1" SizeT="{files * pages}">'
+        f'<Channel ID="Channel:0:0" SamplesPerPixel="1"/>{data}</Pixels></Image></OME>'
+    )
+
+
+@pytest.mark.skipif(not hasattr(os, "preadv"), reason="the file is read by its object")
+@pytest.mark.parametrize("name", ["r.ome.tif", "ome.ome.tif", "stack.npy"])
+def test_a_frame_that_is_read_while_its_recording_is_closed_is_its_own(tmp_path, frames, monkeypatch, name):
+    """The next file that is opened gets the number of the one that was closed, as the system counts them."""
+    FORMATS[name](tmp_path / name, frames)
+    (tmp_path / "other").write_bytes(bytes(1 << 20))
+    recording, others, read = open_recording(tmp_path / name), [], os.preadv
+
+    def closed_meanwhile(*arguments):
+        recording.close()
+        others.append((tmp_path / "other").open("rb"))
+        return read(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "preadv", closed_meanwhile)
+        np.testing.assert_array_equal(recording[3], frames[3])
+    assert others
+    others.pop().close()
+
+
 def test_scale_and_interval_are_read(tmp_path, frames):
     words = {"axes": "TYX", "PhysicalSizeX": 900, "PhysicalSizeXUnit": "nm"}
     words |= {"TimeIncrement": 5, "TimeIncrementUnit": "ms"}

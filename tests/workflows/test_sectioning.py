@@ -100,3 +100,29 @@ def test_what_is_saved_is_what_is_computed_one_by_one(
     images = section(RAW, calibration, mode, cores=cores)
     images.save(tmp_path / "images.ome.tif")
     assert np.array_equal(tifffile.imread(tmp_path / "images.ome.tif").reshape(images.shape), images[:], equal_nan=True)
+
+
+class OneBuffer:
+    """Frames as some cameras' drivers hand them out: each overwrites the one before."""
+
+    def __init__(self) -> None:
+        self._buffer = np.empty(SHAPE, np.uint8)
+
+    def __len__(self) -> int:
+        return len(RAW)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        self._buffer[:] = RAW[index]
+        return self._buffer
+
+
+@pytest.mark.parametrize("mode", ["els", "elsa"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_frames_that_overwrite_the_one_before_give_the_images_of_those_that_stay(
+    calibration: Calibration, mode: str, threads: int, tmp_path: Path
+) -> None:
+    expected = section(RAW, calibration, mode)[:]
+    images = section(OneBuffer(), calibration, mode)
+    images.save(tmp_path / "images.ome.tif", threads=threads)
+    assert np.array_equal(images[:], expected, equal_nan=True)
+    assert np.array_equal(tifffile.imread(tmp_path / "images.ome.tif"), expected, equal_nan=True)

@@ -6,12 +6,15 @@ by itself, and what was read has to be given back.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from typing import TYPE_CHECKING, Any, Final
+from weakref import finalize
 
 import numpy as np
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.io.disk import read_at
 
 if TYPE_CHECKING:
@@ -51,7 +54,8 @@ class StoredFrames:
     ) -> None:
         import psutil
 
-        self._file = path.open("rb", buffering=0)
+        self._path = path
+        self._file: io.FileIO | None = _open_while_used(path)
         self._shape, self._dtype, self._offset = shape, np.dtype(dtype), offset
         self._frame_bytes = int(np.prod(shape, dtype=np.int64)) * self._dtype.itemsize
         self._stride = self._frame_bytes if stride is None else stride
@@ -65,11 +69,14 @@ class StoredFrames:
         ------
         EOFError
             If the file was cut meanwhile.
+        InputError
+            If it was closed.
         """
+        file = self._opened()
         if self._is_long:
-            self._release_before(index)
+            self._release_before(index, file)
         frame = np.empty(self._shape, self._dtype)
-        read_at(self._file, self._offset + index * self._stride, frame)
+        read_at(file, self._offset + index * self._stride, frame)
         return frame
 
     def scattered(self, places: range, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -88,26 +95,46 @@ class StoredFrames:
         ------
         EOFError
             If the file was cut meanwhile.
+        InputError
+            If it was closed.
         """
+        file = self._opened()
         arrays = np.empty((len(places), *shape), dtype)
         if sys.platform == "linux":  # asked for all of them beforehand, a disk need not wait for each
             for place in places:
-                os.posix_fadvise(self._file.fileno(), place, arrays[0].nbytes, os.POSIX_FADV_WILLNEED)
+                os.posix_fadvise(file.fileno(), place, arrays[0].nbytes, os.POSIX_FADV_WILLNEED)
         for place, array in zip(places, arrays, strict=True):
-            read_at(self._file, place, array)
+            read_at(file, place, array)
         return arrays
 
-    def _release_before(self, index: int) -> None:
+    def _release_before(self, index: int, file: io.FileIO) -> None:
         """Release the successive frames up to one that is read next from the system's memory, if they are many."""
         before = self._successive
         successive = range(before.start if index in (before.stop - 1, before.stop) else index, index + 1)
         if len(successive) * self._frame_bytes > RELEASED_BYTES:
             if sys.platform == "linux":
                 start, read = self._offset + successive.start * self._stride, (len(successive) - 1) * self._stride
-                os.posix_fadvise(self._file.fileno(), start, read, os.POSIX_FADV_DONTNEED)
+                os.posix_fadvise(file.fileno(), start, read, os.POSIX_FADV_DONTNEED)
             successive = range(index, index + 1)
         self._successive = successive
 
+    def _opened(self) -> io.FileIO:
+        if self._file is None:
+            raise InputError(f"{self._path.name} is closed", "open it again")
+        return self._file
+
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file, as soon as no other thread reads it."""
+        self._file = None
+
+
+def _open_while_used(path: Path) -> io.FileIO:
+    """Open a file for reading; it is closed when nothing refers to the object any more.
+
+    Closed while another thread reads it, its number would be that of the file that is opened next, whose bytes the
+    thread would then read.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0))
+    file = io.FileIO(descriptor, closefd=False)
+    finalize(file, os.close, descriptor)
+    return file

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import ImageMetadata, allocate_images, fill_images, write_images
+from napari_elsplus.io import ImageMetadata, Recording, allocate_images, fill_images, write_images
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
@@ -38,7 +38,7 @@ class RawPairs:
     Parameters
     ----------
     frames : Frames
-        Raw frames.
+        Raw frames; those of other sources than arrays and recordings are copied, since the next may overwrite them.
     mode : Mode or str
         Image type, which determines the pairs: :meth:`Mode.source_frames`.
     frame_numbers : sequence of int, optional
@@ -54,6 +54,7 @@ class RawPairs:
         self, frames: Frames, mode: Mode | str, frame_numbers: Sequence[int] | NDArray[np.int64] | None = None
     ) -> None:
         self._frames = frames
+        self._stay = isinstance(frames, np.ndarray | Recording)
         self._numbers = frame_numbers
         self._mode = Mode(mode)
         if len(self) == 0:
@@ -79,8 +80,13 @@ class RawPairs:
     def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the frames of the confocal and of the residual view."""
         confocal, residual = self._mode.source_frames(index)
-        raw = self._frames[confocal]
-        return raw, raw if residual == confocal else self._frames[residual]
+        raw = self._frame(confocal)
+        return raw, raw if residual == confocal else self._frame(residual)
+
+    def _frame(self, index: int) -> NDArray[Any]:
+        """Return a frame, copied if it may be overwritten by the next one."""
+        frame = self._frames[index]
+        return frame if self._stay else np.array(frame)
 
 
 class SectionedImages:

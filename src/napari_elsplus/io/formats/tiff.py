@@ -79,8 +79,11 @@ class PagedTiff(FrameSource):
             return self._stored.frame(index)
         with self._lock:
             page = self._series.pages[0 if self._planes else index]
-        if page is None:
-            raise InputError(f"{self.path.name}: frame {index} is missing", "copy or record it again")
+            if page is None:
+                raise InputError(f"{self.path.name}: frame {index} is missing", "copy or record it again")
+            if (part := page.parent.filehandle).closed:  # of a stack in several files; all are closed with the first
+                part.open()
+                part.set_lock(True)
         image = page.asarray(maxworkers=1)
         if self._planes:
             return image[index, :, :]
