@@ -6,6 +6,7 @@ import gc
 import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
 
 import numpy as np
 import psutil
@@ -211,6 +212,19 @@ def test_a_frame_that_is_read_while_its_recording_is_closed_is_its_own(tmp_path,
         np.testing.assert_array_equal(recording[3], frames[3])
     assert others
     others.pop().close()
+
+
+@pytest.mark.parametrize("rate_hz", ["240", "30000/1001", "127.3", "1000"])
+@pytest.mark.parametrize("codec", ["rawvideo", "ffv1"])
+def test_frames_of_a_video_are_found_in_any_order(tmp_path, rate_hz, codec):
+    count = 233
+    frames = np.zeros((count, 16, 24), np.uint8)
+    frames[:] = np.arange(count)[:, None, None]
+    write_avi(tmp_path / "a.avi", frames, "-c:v", codec, "-pix_fmt", "gray", rate_hz=rate_hz)
+    with open_recording(tmp_path / "a.avi") as recording:
+        order = [*range(count - 1, 0, -19), 0, 40, 45, 200, *np.random.default_rng(1).integers(0, count, 10)]
+        assert [int(recording[k][0, 0]) for k in order] == order
+        assert recording.metadata["frame_period_s"] == pytest.approx(1 / Fraction(rate_hz), rel=1e-6)
 
 
 def test_scale_and_interval_are_read(tmp_path, frames):

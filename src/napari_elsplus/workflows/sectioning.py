@@ -71,7 +71,7 @@ class RawPairs:
         return self._mode.source_frames(index)[0]
 
     def lost_before(self, index: int) -> int:
-        """Return how many images were lost between the one before and this one, by the camera's frame numbers."""
+        """Return how many images were lost just before the one at an index, by the camera's frame numbers."""
         if index == 0 or self._numbers is None:
             return 0
         passed = int(self._numbers[self.frame(index)] - self._numbers[self.frame(index - 1)])

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""
-MAX_SAMPLES: Final = 64
-"""Frames, spread evenly, from which the field of view and the static pattern of finished images are estimated."""
 _RIM_PX: Final = 4
 """Margin by which the nominal disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
@@ -165,7 +163,7 @@ class Pipeline:
         self._tracking.prepare_image(raw, raw if raw_residual is None else raw_residual, out)
 
     def skip(self, frames: int) -> None:
-        """Take note that images were lost before the next one, in the time of which the probe went on moving."""
+        """Take note of frames that were lost before the next one, in the time of which the probe went on moving."""
         self._tracking.skip(frames)
 
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
@@ -356,17 +354,6 @@ def calibration_of_finished_images(frames: Frames, um_per_px: float | None = Non
     return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
 
 
-def sample_field(frames: Frames) -> FinishedField:
-    """Estimate the field of view of finished images from at most :data:`MAX_SAMPLES` frames (rows, cols) of a stack."""
-    return FinishedField.of(sample_frames(frames))
-
-
-def sample_frames(frames: Frames) -> list[NDArray[Any]]:
-    """Return at most :data:`MAX_SAMPLES` frames (rows, cols), spread evenly over a stack."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, MAX_SAMPLES).astype(int))
-    return [np.asarray(frames[int(index)]) for index in chosen]
-
-
 def finished_pipeline(
     frames: Frames,
     calibration: Calibration,
@@ -389,7 +376,7 @@ def finished_pipeline(
     insertion : Insertion or str
         How overlapping frames are combined.
     field : FinishedField, optional
-        From :func:`sample_field`, to estimate it once for several pipelines.
+        Field of view, estimated once for several pipelines; by default estimated here.
 
     Raises
     ------
@@ -399,5 +386,5 @@ def finished_pipeline(
     rows, cols = frames[0].shape
     tracking = None
     if method == Method.ELSPLUS:
-        tracking = FinishedTracking(sample_field(frames) if field is None else field)
+        tracking = FinishedTracking(FinishedField.of_stack(frames) if field is None else field)
     return Pipeline(calibration, (rows, cols), Mode.LS, method=method, insertion=insertion, tracking=tracking)

@@ -6,6 +6,7 @@ import subprocess
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
@@ -34,7 +35,7 @@ class Video(FrameSource):
         count, duration_s = imageio_ffmpeg.count_frames_and_secs(str(path))
         if count < 1 or not duration_s > 0:
             raise InputError(f"{path.name} holds no frames", "copy or record it again")
-        self._period_s = duration_s / count
+        self._period_s = _frame_period_s(path) or duration_s / count
         self._decoder: subprocess.Popen[bytes] | None = None
         self._next = 0
         self._lock = Lock()
@@ -63,7 +64,7 @@ class Video(FrameSource):
 
     def _start_at(self, index: int) -> None:
         self._stop()
-        start_s = max(index - 0.5, 0) * self._period_s  # between two frames, so that rounding cannot matter
+        start_s = max(index - 0.25, 0) * self._period_s  # ffmpeg starts at the first frame that is not earlier
         seek = ["-ss", f"{start_s:.6f}"] if index else []
         self._decoder = subprocess.Popen(
             _command(*seek, "-i", str(self.path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"),
@@ -128,6 +129,14 @@ def _first_frame_shape(path: Path) -> tuple[int, int]:
         reason = messages[-1] if messages else "no frame"
         raise InputError(f"{path.name} cannot be decoded ({reason:.100})", "the file is damaged or no video")
     return int(header[2]), int(header[1])
+
+
+def _frame_period_s(path: Path) -> float:
+    """Time between frames, seconds, from the file's header, as ffmpeg rounds the duration it prints; 0 if unknown."""
+    video = cv2.VideoCapture(str(path))
+    rate_hz = video.get(cv2.CAP_PROP_FPS)
+    video.release()
+    return 1 / rate_hz if 0 < rate_hz < np.inf else 0.0
 
 
 AVI: Final = FileFormat("AVI", (".avi",), open_video)

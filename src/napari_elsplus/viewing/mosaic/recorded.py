@@ -12,6 +12,7 @@ from napari_elsplus.io import TrackTable
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
+from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
@@ -22,7 +23,7 @@ from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, sample_field
+from napari_elsplus.workflows.tracking import UNLINKED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -89,7 +90,7 @@ class StackMosaics:
         self._pairs = RawPairs(self._frames, plan.tracked, frame_numbers)
         self._frames.require_contrast()
         self._times_s = times_s
-        self._field = sample_field(self._frames) if finished else None
+        self._field = FinishedField.of_stack(self._frames) if finished else None
         self._lead = self._pipeline(plan.tracked)
         self._followers = {mode: self._pipeline(mode) for mode in plan.modes if mode is not plan.tracked}
         self._shown: Mapping[Mode, Mapping[int, Canvas]] | None = None

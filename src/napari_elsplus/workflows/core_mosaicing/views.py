@@ -11,10 +11,9 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.images.cores import CoreInterpolation
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.processing.mosaicing.cores.reading import BundleCores
-from napari_elsplus.processing.tracking.finished.field import FinishedField
+from napari_elsplus.processing.tracking.finished.field import FinishedField, sample_frames
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.workflows.tracking import sample_field, sample_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -127,7 +126,7 @@ class FinishedBundle:
 
     def tracking(self) -> FinishedTracking:
         """Return a tracking method for these frames that does not see the cores."""
-        return _CorelessTracking(sample_field(self), self.without_cores)
+        return _CorelessTracking(FinishedField.of_stack(self), self.without_cores)
 
 
 class _CorelessTracking(FinishedTracking):

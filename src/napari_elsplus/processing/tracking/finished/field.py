@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.images.sectioning import Frames
+
+MAX_SAMPLES: Final = 64
+"""Frames, spread evenly, from which the field of view and the static pattern are estimated; chosen."""
 COARSE_DIAMETER: Final = 192
 """Diameter of the field in cells of the search over all shifts; chosen: texture finer than this is not searched for."""
 MIN_DIAMETER_PX: Final = 16
@@ -98,6 +102,11 @@ class FinishedField:
         field = cls((rows, cols), grid, darkest, 0.1 * level + 1e-6, quantum, mask)
         return replace(field, mask=mask * ~field._static_pattern(stack))
 
+    @classmethod
+    def of_stack(cls, frames: Frames) -> FinishedField:
+        """Estimate the field from a sample of a stack's frames (rows, cols), as :meth:`of` does."""
+        return cls.of(sample_frames(frames))
+
     @property
     def coarse_diameter(self) -> float:
         """Diameter of the field in cells."""
@@ -143,6 +152,12 @@ class FinishedField:
         found = (np.abs(median) > np.maximum(_STATIC_CONTRAST, _STATIC_RATIO * scatter)).astype(np.uint8)
         grown = cv2.dilate(found, np.ones((5, 5), np.uint8)).astype(bool)
         return grown if grown[mask > 0].mean() < _MAX_STATIC else nothing
+
+
+def sample_frames(frames: Frames) -> list[NDArray[Any]]:
+    """Return at most :data:`MAX_SAMPLES` frames (rows, cols), spread evenly over a stack."""
+    chosen = np.unique(np.linspace(0, len(frames) - 1, MAX_SAMPLES).astype(int))
+    return [np.asarray(frames[int(index)]) for index in chosen]
 
 
 def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float], float]:
