@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, find_items, open_output
 
 
@@ -19,6 +21,10 @@ def touched(*paths: Path) -> list[Path]:
 
 def job(output: Path, **changes: object) -> BatchJob:
     return replace(BatchJob(str(output), "els", mosaic=True, calibration=None), **changes)  # type: ignore[arg-type]
+
+
+def of_scale(um_per_px: float) -> str:
+    return format_calibration(Calibration.parse({"optics": {"um_per_px": um_per_px}}))
 
 
 def test_a_folder_gives_its_recordings_and_nothing_else(tmp_path: Path) -> None:
@@ -62,12 +68,39 @@ def test_a_stage_is_recalled_only_for_the_same_file(tmp_path: Path) -> None:
     (scan,) = touched(tmp_path / "scan.tif")
     made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
     open_output(made)
+    (images,) = touched(*(item.folder(made) / name for name in made.files("section")))
     assert item.recall(made, "section") is None
-    item.remember(made, "section", {"images": 3})
+    item.remember(made, "section", {"images": 3}, item.fingerprint(made))
     assert item.recall(made, "section") == {"images": 3}
     assert item.recall(made, "mosaic") is None
+    images.unlink()
+    assert item.recall(made, "section") is None
+    touched(images)
+    before = item.fingerprint(made)
     scan.write_bytes(b"another recording")
     assert item.recall(made, "section") is None
+    with pytest.raises(InputError, match="changed meanwhile"):
+        item.remember(made, "section", {"images": 3}, before)
+
+
+def test_a_stage_is_recalled_only_for_the_same_calibration(tmp_path: Path) -> None:
+    (scan,) = touched(tmp_path / "scan.tif")
+    made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
+    open_output(made)
+    touched(*(item.folder(made) / name for name in made.files("section")))
+    beside, folders = tmp_path / "scan.calibration.json", tmp_path / "calibration.json"
+    changes = (
+        lambda: folders.write_text(of_scale(1.0)),
+        lambda: beside.write_text(of_scale(2.0)),
+        lambda: beside.write_text(of_scale(3.0)),
+        lambda: np.savez(beside.with_suffix(".npz"), flat=np.ones((3, 3))),
+        lambda: np.savez(beside.with_suffix(".npz"), flat=np.full((3, 3), 2.0)),
+    )
+    for change in changes:
+        item.remember(made, "section", {}, item.fingerprint(made))
+        assert item.recall(made, "section") == {}
+        change()
+        assert item.recall(made, "section") is None
 
 
 def test_an_output_folder_is_resumed_by_the_same_job_only(tmp_path: Path) -> None:
@@ -79,6 +112,10 @@ def test_an_output_folder_is_resumed_by_the_same_job_only(tmp_path: Path) -> Non
     for other in (replace(first, mode="ls"), replace(first, mosaic=False), replace(first, calibration=None)):
         with pytest.raises(InputError, match="another job"):
             open_output(other)
+    np.savez(calibration.with_suffix(".npz"), flat=np.ones((3, 3)))
+    with pytest.raises(InputError, match="another job"):
+        open_output(first)
+    calibration.with_suffix(".npz").unlink()
     calibration.write_text('{"measured": "anew"}')
     with pytest.raises(InputError, match="another job"):
         open_output(first)

@@ -21,7 +21,7 @@ from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_track, write_calibration
 from napari_elsplus.workflows.batch import cluster, stages, tasks
-from napari_elsplus.workflows.batch.cluster import batch_client
+from napari_elsplus.workflows.batch.cluster import WORKER_ENVIRONMENT, batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, RECORDS, BatchItem, BatchJob, open_output
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.batch.tasks import ERROR
@@ -167,13 +167,13 @@ def test_a_stage_starts_no_thread(recordings: Path, tmp_path: Path, monkeypatch:
 
 
 def test_local_workers_have_one_thread_keep_their_memory_and_have_a_dashboard() -> None:
-    before = dict(os.environ)
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     with batch_client(None, 1) as client:
         (environment,) = client.run(lambda: dict(os.environ)).values()
         assert list(client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN).values()) == [True]
         with urlopen(client.dashboard_link) as page:
             assert b"bokeh" in page.read()
-    assert dict(os.environ) == before
+    assert {name: os.environ.get(name) for name in WORKER_ENVIRONMENT} == before
     assert environment["OMP_NUM_THREADS"] == "1"
     assert "MALLOC_TRIM_THRESHOLD_" not in environment
 
@@ -233,6 +233,31 @@ def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
     result = batch(folder, tmp_path / "out")
     assert result.failed == []
     assert "2 different calibrations" in result.notes[0]
+
+
+@pytest.mark.usefixtures("inline")
+def test_a_batch_after_another_calibration_makes_its_images_anew(recordings: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    for name in ("a.tif", "a.calibration.json"):
+        (folder / name).write_bytes((recordings / name).read_bytes())
+    (old,) = batch(folder, out, mosaic=True).rows
+    with open_recording(folder / "a.tif") as raw:
+        before = raw.calibration
+        assert before is not None
+        background = np.full(raw.shape[1:], 3, np.float32)
+        write_calibration(
+            folder / "a.calibration.json", before.model_copy(update={"background": background}), force=True
+        )
+        (new,) = batch(folder, out, mosaic=True).rows
+        assert raw.calibration is not None
+        expected = section(raw, raw.calibration)[:]
+        assert not np.allclose(expected, section(raw, before)[:], atol=0.1, equal_nan=True)
+    np.testing.assert_allclose(tifffile.imread(out / "a" / "els.ome.tif"), expected, rtol=0, atol=1e-3)
+    assert old["calibration"] != new["calibration"]
+    (out / "a" / "track.csv").unlink()
+    batch(folder, out, mosaic=True)
+    assert len(read_track(out / "a" / "track.csv")) == 4
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(

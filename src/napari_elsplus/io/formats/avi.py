@@ -6,7 +6,6 @@ import subprocess
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
-import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
@@ -133,6 +132,8 @@ def _first_frame_shape(path: Path) -> tuple[int, int]:
 
 def _frame_period_s(path: Path) -> float:
     """Time between frames, seconds, from the file's header, as ffmpeg rounds the duration it prints; 0 if unknown."""
+    import cv2  # here: the process that submits a batch does without it
+
     video = cv2.VideoCapture(str(path))
     rate_hz = video.get(cv2.CAP_PROP_FPS)
     video.release()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
 from napari_elsplus.io.text import read_lines, write_json
 from napari_elsplus.processing.images.modes import Mode
@@ -100,17 +101,37 @@ class BatchItem:
         return Path(job.output, self.name)
 
     def recall(self, job: BatchJob, stage: str) -> Values | None:
-        """Return what a stage of a job has found, if an earlier run finished it for the same file; else None."""
+        """Return what a stage of a job has found, if an earlier run made its files of the same ones; else None."""
         try:
             record = json.loads(self.record(job, stage).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         values: Values = record["values"]
-        return values if record.get("input") == self.fingerprint() else None
+        complete = all((self.folder(job) / name).exists() for name in job.files(stage))
+        return values if complete and record.get("input") == self.fingerprint(job) else None
 
-    def remember(self, job: BatchJob, stage: str, values: Values) -> None:
-        """Write that a stage of a job is finished, with the values that it found."""
-        write_json(self.record(job, stage), {"input": self.fingerprint(), "values": values}, force=True)
+    def remember(self, job: BatchJob, stage: str, values: Values, fingerprint: Values) -> None:
+        """Write that a stage of a job is finished.
+
+        Parameters
+        ----------
+        job : BatchJob
+            The job.
+        stage : str
+            The stage.
+        values : dict
+            What it found.
+        fingerprint : dict
+            What :meth:`fingerprint` returned before the stage.
+
+        Raises
+        ------
+        InputError
+            If the recording or its calibration is no longer that of the fingerprint.
+        """
+        if self.fingerprint(job) != fingerprint:
+            raise InputError(f"{self.name} or its calibration was changed meanwhile", "run the batch again")
+        write_json(self.record(job, stage), {"input": fingerprint, "values": values}, force=True)
 
     def record(self, job: BatchJob, stage: str) -> Path:
         """Return the path of the record that a stage of a job is finished."""
@@ -120,10 +141,11 @@ class BatchItem:
         """Return the path of the recording's picture for the contact sheet of a job."""
         return Path(job.output, RECORDS, f"{self.name}.png")
 
-    def fingerprint(self) -> list[int]:
-        """Return the size (bytes) and the time (ns) of the recording's file."""
+    def fingerprint(self, job: BatchJob) -> Values:
+        """Return the size (bytes) and time (ns) of the recording's file, and a digest of the calibration of a job."""
         found = Path(self.recording).stat()
-        return [found.st_size, found.st_mtime_ns]
+        calibration = calibration_beside(self.recording) if job.calibration is None else job.calibration
+        return {"recording": [found.st_size, found.st_mtime_ns], "calibration": _digest(calibration)}
 
 
 def find_items(source: Path) -> list[BatchItem]:
@@ -195,5 +217,10 @@ def _names(recordings: Sequence[Path]) -> list[str]:
     return names
 
 
-def _digest(calibration: str | None) -> str | None:
-    return None if calibration is None else hashlib.sha256(Path(calibration).read_bytes()).hexdigest()
+def _digest(calibration: str | Path | None) -> str | None:
+    """Return a digest of a calibration's file and of its arrays beside it."""
+    if calibration is None:
+        return None
+    files = Path(calibration), Path(calibration).with_suffix(".npz")
+    parts = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.exists()]
+    return " ".join(parts)

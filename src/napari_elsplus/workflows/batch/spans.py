@@ -80,7 +80,7 @@ class SpannedImages:
             What is known of the stage before its images are made; part of the plan.
         """
         plan = {
-            "input": self.item.fingerprint(),
+            "input": self.item.fingerprint(self.job),
             "values": values,
             SPANS: [[span.start, span.stop] for span in spans],
         }
@@ -105,7 +105,7 @@ class SpannedImages:
             values |= json.loads(self._record(start, stop).read_text(encoding="utf-8"))
         if self.file.exists():  # else an earlier run was killed after renaming it
             put_in_place(self.file, self.item.folder(self.job) / self.job.images_name)
-        self.item.remember(self.job, "section", values)
+        self.item.remember(self.job, "section", values, plan["input"])
         self._remove()
         return values
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.calibration import ARRAYS
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
@@ -104,8 +105,10 @@ def _calibration(job: BatchJob, recording: Recording) -> tuple[Calibration, str]
         if own is None:
             raise CalibrationError("no calibration lies beside the recording or in it", "give one with -c")
         found, file = own, beside or recording.path
-    digest = hashlib.sha256(format_calibration(found).encode()).hexdigest()[:8]
-    return found, f"{file.name} ({digest})"
+    digest = hashlib.sha256(format_calibration(found).encode())
+    for array in (getattr(found, name) for name in ARRAYS):
+        digest.update(b"" if array is None else array.tobytes())
+    return found, f"{file.name} ({digest.hexdigest()[:8]})"
 
 
 def _contrast(image: NDArray[np.float32]) -> float:

@@ -58,7 +58,7 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
         Columns of the recording's row in the table; a message under :data:`ERROR` if it failed; of a long recording's
         images only the spans to be made, under :data:`SPANS`, after which :func:`finish_spans` finishes the stage.
     """
-    found = item.recall(job, stage)
+    found, fingerprint = item.recall(job, stage), item.fingerprint(job)
     if found is None:
         from napari_elsplus.workflows.batch.stages import STAGES, single_threaded
 
@@ -68,7 +68,7 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
         with open_recording(item.recording) as recording, single_threaded():
             found = STAGES[stage](item, job, recording)
         if SPANS not in found:
-            item.remember(job, stage, found)
+            item.remember(job, stage, found, fingerprint)
     return found
 
 
