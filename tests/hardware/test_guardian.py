@@ -59,7 +59,7 @@ def seconds_until(condition: Callable[[], bool], within_s: float = 5.0) -> float
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM", "SIGINT"])
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM", "SIGHUP", "SIGINT"])
 def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
     """The card lives on, and goes on sweeping by itself until somebody stops it."""
     driver = subprocess.Popen(
@@ -79,7 +79,7 @@ def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
         seconds_until(lambda: len(clearances_um()) > 5)  # it sweeps
         driver.send_signal(getattr(signal, how))
         took = seconds_until(lambda: min(clearances_um()) > 99.9)
-        assert driver.wait(10) == {"SIGKILL": -9, "SIGTERM": 143, "SIGINT": -2}[how]
+        assert driver.wait(10) == {"SIGKILL": -9, "SIGTERM": 143, "SIGHUP": 129, "SIGINT": -2}[how]
         assert min(clearances_um()) > 99.9
     if how == "SIGKILL":
         assert took < 0.5

@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from napari_elsplus import __version__
+from napari_elsplus.closing import unwound_by_signals
 from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.processing.compilation import reported_compilation
 
@@ -103,6 +104,8 @@ def main(arguments: list[str] | None = None) -> None:
 def run_program(command: click.Command, name: str, arguments: list[str] | None = None) -> None:
     """Run a click command as a program and exit: 0 on success, 2 and one line for bad input, 130 when interrupted.
 
+    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed.
+
     Parameters
     ----------
     command : click.Command
@@ -119,7 +122,8 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
     """
     atexit.register(gc.freeze)  # else the interpreter's last collection searches all that libraries hold: 0.1 s
     try:
-        command.main(arguments, prog_name=name, standalone_mode=False)
+        with unwound_by_signals():
+            command.main(arguments, prog_name=name, standalone_mode=False)
     except (ElsPlusError, OSError) as error:
         _leave(f"{name}: {error_message(error)}", EXIT_BAD_INPUT)
     except click.ClickException as error:

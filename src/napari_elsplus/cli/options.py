@@ -133,17 +133,27 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
     Raises
     ------
     InputError
-        If one exists and `force` is not given, cannot be a file, is named twice, or is one of the inputs: those are
-        never overwritten.
+        If one exists and `force` is not given, cannot be a file, is named twice, is one of the inputs, which are never
+        overwritten, or would be read as a frame of a folder that is one.
     """
     wanted = [path for path in paths if path is not None]
     read = {path.resolve() for path in inputs if path is not None}
     for index, path in enumerate(wanted):
         if path.resolve() in read:
             raise InputError(f"{path} is read, and would be overwritten", "name another file to write")
+        folder = next((parent for parent in path.resolve().parents if parent in read), None)
+        if folder is not None and _is_image(path):
+            raise InputError(f"{path} lies in {folder.name}, which is read, and would be a frame of it", "name another")
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
             raise InputError(f"{path} is named twice", "name another file for one of them")
+
+
+def _is_image(path: Path) -> bool:
+    """Return True for a name by which frames or images are read."""
+    from napari_elsplus.io.formats.registry import format_of_name  # imports numpy, of which wrong options need nothing
+
+    return format_of_name(path) is not None
 
 
 class _Rate(ProgressColumn):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from napari_elsplus.closing import unwound_by_signals
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.daq.takeover import CardOrder
@@ -34,8 +33,8 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
     """Open a rig; its galvo is parked, its camera not configured yet.
 
     A galvo that would go on without this process gets a guardian, which parks if this one dies. Opened in the main
-    thread, the rig also parks on SIGTERM. A rig file may name drivers outside this package, which
-    are imported then.
+    thread, the rig also parks on SIGTERM and SIGHUP. A rig file may name drivers outside this
+    package, which are imported then.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ def open_rig(name: str = SIMULATED, simulation: Simulation | None = None) -> Rig
         If a device is absent, busy or fails.
     """
     with ExitStack() as held:
-        _end_on_sigterm(held)
+        held.enter_context(unwound_by_signals())
         settings = rig_settings(name)
         if isinstance(settings, SimulatedRigSettings):
             rig = _simulated_rig(name, settings, simulation, held)
@@ -102,17 +101,3 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
 def _park(scanner: Scanner, _: DeviceError) -> None:
     with suppress(DeviceError):  # `park_state` shows it, and the scanner tries again
         scanner.park()
-
-
-def _end_on_sigterm(held: ExitStack) -> None:
-    """Unwind the program on SIGTERM, so that the rig is closed."""
-    if threading.current_thread() is not threading.main_thread():
-        return
-    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        return  # the program has its own way to end
-
-    def end(number: int, _: object) -> None:
-        raise SystemExit(128 + number)
-
-    signal.signal(signal.SIGTERM, end)
-    held.callback(signal.signal, signal.SIGTERM, signal.SIG_DFL)

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,57 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     }
     write_calibration(calibration, Calibration.parse({"bundle": bundle, "optics": {"um_per_px": 2.0}}))
     return raw, calibration
+
+
+SLOW = """
+import sys, time
+from napari_elsplus.cli import main
+from napari_elsplus.cli.files import process
+
+def slow(numbers, step):
+    for number in numbers:
+        if number == 150:  # of 200: the first ones are written
+            print("begun", flush=True)
+            time.sleep(60)
+        yield number
+
+process.progress = slow
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows ends a process without a signal")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_command_that_is_ended_leaves_no_unfinished_file(files: tuple[Path, Path], tmp_path: Path, name: str) -> None:
+    raw, calibration = files
+    tifffile.imwrite(raw, np.zeros((200, *SHAPE), np.uint8))
+    words = ["process", str(raw), "-c", str(calibration), "-o", str(tmp_path / "els.ome.tif")]
+    running = subprocess.Popen([sys.executable, "-c", SLOW, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert running.stdout is not None
+    assert running.stdout.readline() == b"begun\n"
+    before = set(tmp_path.iterdir())
+    running.send_signal(getattr(signal, name))
+    said = running.communicate(timeout=20)[1].decode()
+    assert len(before) == 3
+    assert set(tmp_path.iterdir()) == {raw, calibration}
+    assert running.returncode == 128 + getattr(signal, name)
+    assert said.strip() == ("napari-elsplus: interrupted" if name == "SIGINT" else "")
+
+
+def test_an_output_that_would_become_a_frame_of_the_recording_is_refused(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for index, frame in enumerate(tifffile.imread(files[0])):
+        tifffile.imwrite(frames / f"{index}.tif", frame)
+    before = {file.name: file.read_bytes() for file in frames.iterdir()}
+    for name in ("3.tif", "els.ome.tif"):
+        run = elsplus("process", frames, "-c", files[1], "-o", frames / name, "--force")
+        assert run.code == 2
+        assert "lies in" in run.err
+    assert {file.name: file.read_bytes() for file in frames.iterdir()} == before
+    assert elsplus("process", frames, "-c", files[1], "-o", tmp_path / "els.ome.tif").code == 0
 
 
 def test_els_in_files_is_ls_minus_residual(elsplus: Cli, files: tuple[Path, Path], tmp_path: Path) -> None:
