@@ -146,6 +146,26 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(
         assert len(recording) == 9
 
 
+def test_a_recorder_that_fails_completes_its_file(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = RecordingWriter.append
+
+    def fails(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
+        if len(writer) == 9:
+            raise InputError("frame 9 is of another size", "start another recording")
+        append(writer, *arguments, **options)
+
+    monkeypatch.setattr(RecordingWriter, "append", fails)
+    engine.start()
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+    until(lambda: bool(engine.status().faults))
+    until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert len(recording) == 9
+        assert recording.metadata["frame_period_s"] > 0  # written with the end of the file
+
+
 def test_missing_frames_are_counted_by_cause(engine: Engine, rig: Any) -> None:
     rig.camera.skipped_numbers = {10, 11, 20}
     engine.start()

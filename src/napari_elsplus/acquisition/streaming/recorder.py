@@ -131,8 +131,10 @@ class Recorder(Thread):
         """Write until the end; then complete the file."""
         join_frame_core(Rank.REST)
         try:
-            self._write()
-            self._writer.close()
+            try:
+                self._write()
+            finally:
+                self._writer.close()
         except OSError as error:
             reason = error.strerror or str(error)
             self._faults.add(
