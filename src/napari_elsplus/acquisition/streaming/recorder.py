@@ -104,11 +104,16 @@ class Recorder(Thread):
         super().__init__(name="recorder", daemon=True)
         self.plan = plan
         self._tally, self._faults = tally, faults
-        self._writer = RecordingWriter(
-            plan.path, stream.frame_shape, "uint8", calibration=calibration, settings=settings, force=plan.force
-        )
         self._stream = stream
+        # joined first: frames from before the start leave the memory while a slow disk makes the file
         self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz), batch=_BATCH)
+        try:
+            self._writer = RecordingWriter(
+                plan.path, stream.frame_shape, "uint8", calibration=calibration, settings=settings, force=plan.force
+            )
+        except BaseException:
+            self._cursor.close()
+            raise
         self._half_period_s = 0.5 / frame_rate_hz
         self._stop_before: int | None = None
 
