@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import settings
 
 settings.register_profile("untimed", deadline=None)  # how fast a test is says more about the machine than about us
 settings.load_profile("untimed")
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it, and its children too
 
 
 @pytest.fixture(scope="session")
