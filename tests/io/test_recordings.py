@@ -242,6 +242,26 @@ def test_scale_and_interval_are_read(tmp_path, frames):
             assert recording.times_s == pytest.approx(0.005 * np.arange(7))
 
 
+@pytest.mark.parametrize(
+    ("unit", "period_s"), [("sec", 0.25), ("ms", 0.25e-3), ("\\u00B5s", 0.25e-6), ("min", 15.0), ("fortnights", None)]
+)
+def test_an_interval_of_imagej_is_in_its_unit(tmp_path, frames, unit, period_s):
+    metadata = {"axes": "TYX", "finterval": 0.25, "tunit": unit}
+    tifffile.imwrite(tmp_path / "a.tif", frames, imagej=True, metadata=metadata)
+    with open_recording(tmp_path / "a.tif") as recording:
+        assert recording.metadata.get("frame_period_s") == pytest.approx(period_s)
+
+
+@pytest.mark.parametrize("axes", ["TCYX", "TZYX"])
+@pytest.mark.parametrize("imagej", [True, False])
+def test_channels_and_planes_are_no_moments(tmp_path, frames, axes, imagej):
+    stack = frames[:6].reshape(3, 2, *frames.shape[1:])
+    options = {"imagej": True} if imagej else {"ome": True}
+    tifffile.imwrite(tmp_path / "a.ome.tif", stack, photometric="minisblack", metadata={"axes": axes}, **options)
+    with pytest.raises(InputError, match="a stack of frames"):
+        open_recording(tmp_path / "a.ome.tif")
+
+
 def test_finite_floats_are_accepted_and_nan_is_refused(tmp_path, frames):
     floats = frames.astype(np.float64)
     floats[4, 2, 3] = np.nan

@@ -205,8 +205,12 @@ def test_from_files_accepted_discarded_and_undone(viewer, panel, qtbot, open_rec
     assert [state(panel, step) for step in REGISTERED] == [
         StepState.DONE, StepState.DONE, StepState.DONE, StepState.MISSING, StepState.DONE, StepState.DONE,
     ]  # fmt: skip
+    assert panel.connection.calibration is panel.draft.calibration
     for _ in range(3):
         form.undo.click()
+    assert panel.draft is first
+    assert panel.connection.calibration is None  # without a bundle none is active: not the one that was undone either
+    qtbot.wait(300)
     assert panel.draft is first
     form.undo.click()
     assert not form.undo.isEnabled()

@@ -134,19 +134,29 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
     ------
     InputError
         If one exists and `force` is not given, cannot be a file, is named twice, is one of the inputs, which are never
-        overwritten, or would be read as a frame of a folder that is one.
+        overwritten, is a folder that holds one, or would be read as a frame of a folder that is one.
     """
     wanted = [path for path in paths if path is not None]
     read = {path.resolve() for path in inputs if path is not None}
     for index, path in enumerate(wanted):
         if path.resolve() in read:
             raise InputError(f"{path} is read, and would be overwritten", "name another file to write")
+        held = min((one for one in read if path.resolve() in one.parents), default=None)
+        if held is not None:
+            raise InputError(f"{path} holds {held.name}, which is read", "name another file to write")
         folder = next((parent for parent in path.resolve().parents if parent in read), None)
         if folder is not None and _is_image(path):
             raise InputError(f"{path} lies in {folder.name}, which is read, and would be a frame of it", "name another")
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
             raise InputError(f"{path} is named twice", "name another file for one of them")
+
+
+def calibration_files(path: Path | None) -> tuple[Path, ...]:
+    """Return the files of the calibration of a `path`, NAME.json and NAME.npz; none for None."""
+    if path is None:
+        return ()
+    return (path, path.with_suffix(".npz")) if path.name else (path,)  # the current folder and / have no name
 
 
 def _is_image(path: Path) -> bool:

@@ -84,3 +84,30 @@ def test_a_scheduler_that_is_not_there(
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "no scheduler answers at tcp://127.0.0.1:9" in ended.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("here", [".", "/"])
+def test_a_folder_where_a_calibration_is_meant(
+    elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, here: str
+) -> None:
+    raw, out = stacks / "still.tif", tmp_path / "out.tif"
+    for command in (
+        ("process", raw, "-c", here, "-o", out),
+        ("mosaic", raw, "-c", here, "-o", out),
+        ("compare", raw, "-c", here, "-o", tmp_path / "out.png"),
+        ("calibrate", "--line", raw, "-o", here),
+    ):
+        ended = elsplus(*command)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_folder_that_holds_what_is_read(elsplus: Callable[..., Run], stacks: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.zarr"
+    output.mkdir()
+    write_calibration(output / "cal.json", true_calibration(INSTRUMENT))
+    held = {file: file.read_bytes() for file in output.iterdir()}
+    ended = elsplus("process", stacks / "still.tif", "-c", output / "cal.json", "-o", output, "--force")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "out.zarr holds cal.json, which is read" in ended.err
+    assert {file: file.read_bytes() for file in output.iterdir()} == held

@@ -9,7 +9,7 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, find_items, open_output
+from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, find_items, open_output
 
 
 def touched(*paths: Path) -> list[Path]:
@@ -83,6 +83,20 @@ def test_a_stage_is_recalled_only_for_the_same_file(tmp_path: Path) -> None:
         item.remember(made, "section", {"images": 3}, before)
 
 
+def test_a_stage_is_recalled_only_for_the_same_frames_of_a_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    frames = touched(*(folder / f"{k}.tif" for k in range(3)))
+    made, item = job(tmp_path / "out"), BatchItem("frames", str(folder))
+    open_output(made)
+    touched(*(item.folder(made) / name for name in made.files("section")))
+    item.remember(made, "section", {}, item.fingerprint(made))
+    assert item.recall(made, "section") == {}
+    with frames[1].open("r+b") as frame:  # in place: the folder's own time stays
+        frame.write(b"another frame")
+    assert item.recall(made, "section") is None
+
+
 def test_a_stage_is_recalled_only_for_the_same_calibration(tmp_path: Path) -> None:
     (scan,) = touched(tmp_path / "scan.tif")
     made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
@@ -121,3 +135,11 @@ def test_an_output_folder_is_resumed_by_the_same_job_only(tmp_path: Path) -> Non
         open_output(first)
     with pytest.raises(InputError, match="other files"):
         open_output(job(tmp_path))
+
+
+def test_a_damaged_record_of_a_job_is_said_to_be(tmp_path: Path) -> None:
+    made = job(tmp_path / "out")
+    open_output(made)
+    Path(made.output, RECORDS, "job.json").write_bytes(b"")
+    with pytest.raises(InputError, match="is damaged"):
+        open_output(made)

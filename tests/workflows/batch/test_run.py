@@ -141,6 +141,18 @@ def test_a_batch_as_ome_zarr_is_resumed_and_has_the_pixels_of_ome_tiff(
         batch(recordings, outputs["ome-zarr"], mosaic=mosaic)
 
 
+@pytest.mark.usefixtures("inline")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there names need not be text")
+def test_names_of_files_that_are_no_text_are_in_table_and_sheet(recordings: Path, tmp_path: Path) -> None:
+    folder, name = tmp_path / "season", os.fsdecode(b"\xb5m")
+    folder.mkdir()
+    (folder / f"{name}.tif").write_bytes((recordings / "a.tif").read_bytes())
+    done = batch(folder, tmp_path / "out", calibration=recordings / "a.calibration.json")
+    assert done.failed == []
+    assert b"\xb5m.tif" in (tmp_path / "out" / "table.csv").read_bytes()
+    assert (tmp_path / "out" / "contact-sheet.png").exists()
+
+
 def test_an_unknown_format_is_refused_before_any_work(recordings: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no format 'png': choose one of ome-tiff, ome-zarr"):
         batch(recordings, tmp_path / "out", file_format="png")

@@ -9,6 +9,7 @@ import click
 from napari_elsplus.cli.options import (
     FILE,
     ReadingCommand,
+    calibration_files,
     calibration_option,
     force_option,
     output_option,
@@ -31,7 +32,7 @@ def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool)
     from napari_elsplus.workflows.pictures.comparison import TITLES, compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
-    refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
+    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration)))
     refuse_format(output)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:

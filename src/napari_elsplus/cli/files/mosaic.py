@@ -11,6 +11,7 @@ from napari_elsplus.cli.options import (
     LazyChoice,
     LazyHelp,
     ReadingCommand,
+    calibration_files,
     force_option,
     image_types,
     output_option,
@@ -93,8 +94,7 @@ def command(
         raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
     if not finished and calibration is None:
         raise InputError("raw frames need a calibration", "give -c CAL, or --finished for finished images")
-    files = () if calibration is None else (calibration, calibration.with_suffix(".npz"))
-    refuse_outputs(output, track, force=force, inputs=(raw, flat, *files))
+    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(calibration)))
     format_to_write(output)
     record = None if calibration is None else read_calibration(calibration)
     even = None if flat is None else _mean_frame(flat)

@@ -10,6 +10,7 @@ from napari_elsplus.cli.options import (
     FILE,
     LazyChoice,
     ReadingCommand,
+    calibration_files,
     calibration_option,
     force_option,
     image_types,
@@ -75,7 +76,7 @@ def command(
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.sectioning import section
 
-    refuse_outputs(output, force=force, inputs=(raw, calibration, calibration.with_suffix(".npz")))
+    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration)))
     format_to_write(output)
     record = read_calibration(calibration)
     with open_recording(raw) as recording:

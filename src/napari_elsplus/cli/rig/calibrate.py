@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
+from napari_elsplus.cli.options import FILE, POSITIVE, calibration_files, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS
@@ -80,7 +80,7 @@ def command(
     """Measure a calibration from any subset of the inputs, or live on a rig; print the results with uncertainties."""
     names = {key: option.name for key, option in _file_options().items()}
     given = {names[key]: path for key, path in files.items() if path}
-    refuse_outputs(output, output.with_suffix(".npz"), report, force=force, inputs=(volts, *given.values()))
+    refuse_outputs(*calibration_files(output), report, force=force, inputs=(volts, *given.values()))
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")

@@ -24,6 +24,14 @@ if TYPE_CHECKING:
     import tifffile
     from numpy.typing import NDArray
 
+_TIME_UNITS_S: Final = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+}
+"""Seconds of each unit of time that ImageJ's users write; an interval in another one is left out."""
+
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # the errors that it logs are raised here
 
 
@@ -65,6 +73,10 @@ class PagedTiff(FrameSource):
         rows, cols = page.imagelength, page.imagewidth
         if first.shape[-2:] != (rows, cols):
             raise InputError(f"{path.name} has axes {first.axes}", "a stack of frames (T, rows, cols) is expected")
+        if sum(size > 1 for size in first.shape[:-2]) > 1:  # planes or channels are no moments
+            raise InputError(
+                f"{path.name} has axes {first.axes} {first.shape}", "a stack of frames (T, rows, cols) is expected"
+            )
         count = int(np.prod(first.shape[:-2], dtype=np.int64))
         dtype = np.dtype(first.dtype)
         super().__init__(path, (count, rows, cols), dtype, _metadata(tiff))
@@ -163,9 +175,10 @@ def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
     if tiff.is_ome and tiff.ome_metadata:
         return metadata | ome.parse(tiff.ome_metadata)
     imagej = tiff.imagej_metadata or {}
+    unit_s = _TIME_UNITS_S.get(str(imagej.get("tunit", "sec")).lower().replace("\\u00b5", "u").replace("µ", "u"))
     interval = imagej.get("finterval")
-    if (period := positive(interval)) is not None:
-        metadata["frame_period_s"] = period
+    if unit_s is not None and (period := positive(interval)) is not None:
+        metadata["frame_period_s"] = period * unit_s
     resolution = first.tags.get("XResolution")
     if str(imagej.get("unit", "")).strip("\\").lower() in {"um", "micron", "µm", "u00b5m"} and resolution is not None:
         pixels, per = resolution.value

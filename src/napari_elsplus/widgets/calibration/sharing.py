@@ -26,6 +26,7 @@ class Sharing:
         self._connection = connection
         self._activation: Future[None] | None = None
         self._seen: Calibration | None = None
+        self._own: Calibration | None = None
         self._error: BaseException | None = None
         self._file: Path | None = None
 
@@ -37,6 +38,8 @@ class Sharing:
     def activate(self, calibration: Calibration, path: Path | None = None) -> None:
         """Activate a calibration for all panels and the engine, once it contains the bundle.
 
+        Where it contains none any more, as after Undo, the one that this panel activated before is withdrawn.
+
         Parameters
         ----------
         calibration : Calibration
@@ -45,9 +48,14 @@ class Sharing:
             Its file.
         """
         self._file = path or self._file
-        if calibration.bundle is None:
+        if calibration.bundle is not None:
+            self._own = calibration
+            self._activation = self._connection.apply(calibration, path)
+        elif self._own is not None and self._connection.calibration is self._own:
+            self._own = self._seen = None
+            self._activation = self._connection.apply(None)
+        else:
             return
-        self._activation = self._connection.apply(calibration, path)
         self._activation.add_done_callback(lambda done: setattr(self, "_error", done.exception()))
 
     def error(self) -> BaseException | None:

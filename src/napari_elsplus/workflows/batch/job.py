@@ -142,10 +142,14 @@ class BatchItem:
         return Path(job.output, RECORDS, f"{self.name}.png")
 
     def fingerprint(self, job: BatchJob) -> Values:
-        """Return the size (bytes) and time (ns) of the recording's file, and a digest of the calibration of a job."""
-        found = Path(self.recording).stat()
+        """Return number, bytes and newest time (ns) of the files, and a digest of the calibration of a `job`."""
+        recording = Path(self.recording)
+        files = [
+            path.stat() for path in (recording, *recording.rglob("*"))
+        ]  # those of a folder may be written in place
+        size, newest_ns = sum(file.st_size for file in files), max(file.st_mtime_ns for file in files)
         calibration = calibration_beside(self.recording) if job.calibration is None else job.calibration
-        return {"recording": [found.st_size, found.st_mtime_ns], "calibration": _digest(calibration)}
+        return {"recording": [len(files), size, newest_ns], "calibration": _digest(calibration)}
 
 
 def find_items(source: Path) -> list[BatchItem]:
@@ -180,7 +184,11 @@ def open_output(job: BatchJob) -> None:
     output, file = Path(job.output), Path(job.output, RECORDS, "job.json")
     described = {**asdict(job), "output": "", "calibration": _digest(job.calibration)}
     if file.exists():
-        if json.loads(file.read_text(encoding="utf-8")) != described:
+        try:
+            begun = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError:
+            raise InputError(f"{file} is damaged", "name another folder") from None
+        if begun != described:
             raise InputError(f"{output} holds the results of another job than {job.describe()}", "name another folder")
         return
     if output.exists() and (not output.is_dir() or any(output.iterdir())):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,6 @@ from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, 
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable, Iterator
 
     from napari_elsplus.workflows.progress import Progress
@@ -189,7 +189,10 @@ def _row(item: BatchItem, found: list[Values]) -> Values:
 
 
 def _write_table(path: Path, rows: list[Values]) -> None:
-    with replacing(path, force=True) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with (
+        replacing(path, force=True) as unfinished,
+        unfinished.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
+    ):
         table = csv.DictWriter(file, COLUMNS)
         table.writeheader()
         table.writerows(rows)
@@ -202,8 +205,15 @@ def _write_sheet(job: BatchJob, made: list[tuple[BatchItem, Values]]) -> None:
     from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
     from napari_elsplus.workflows.pictures.files import save_grey_figure
 
-    sheet = draw_batch_sheet([(item.name, read_tile(item.tile(job)), values[TILE_UM]) for item, values in made])
+    sheet = draw_batch_sheet(
+        [(_drawable(item.name), read_tile(item.tile(job)), values[TILE_UM]) for item, values in made]
+    )
     save_grey_figure(sheet, Path(job.output, "contact-sheet.png"), force=True)
+
+
+def _drawable(name: str) -> str:
+    """Return the name of a file, which may be no text, as one that fonts can draw."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def _notes(rows: list[Values]) -> tuple[str, ...]:
