@@ -25,7 +25,7 @@ SOFTWARE: Final = f"napari-elsplus {__version__}"
 SETTINGS: Final = "napari-elsplus/settings"
 """Namespace of the annotation that keeps settings as JSON."""
 _UM: Final = {"µm": 1.0, "μm": 1.0, "um": 1.0, "micron": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
-_S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 60.0}
+TO_S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min": 60.0}
 """Micrometres and seconds in the units of OME-XML."""
 
 
@@ -105,7 +105,7 @@ def parse(xml: str) -> dict[str, Any]:
     scale = _UM.get(pixels.get("PhysicalSizeXUnit", "µm"))
     if scale and (size := positive(pixels.get("PhysicalSizeX"))):
         metadata["um_per_px"] = size * scale
-    scale = _S.get(pixels.get("TimeIncrementUnit", "s"))
+    scale = TO_S.get(pixels.get("TimeIncrementUnit", "s"))
     if scale and (period := positive(pixels.get("TimeIncrement"))):
         metadata["frame_period_s"] = period * scale
     times = [_delta_s(plane) for plane in pixels.iterfind("{*}Plane")]
@@ -117,7 +117,7 @@ def parse(xml: str) -> dict[str, Any]:
 
 def _delta_s(plane: ElementTree.Element) -> float | None:
     try:
-        value = float(plane.get("DeltaT", "nan")) * _S.get(plane.get("DeltaTUnit", "s"), float("nan"))
+        value = float(plane.get("DeltaT", "nan")) * TO_S.get(plane.get("DeltaTUnit", "s"), float("nan"))
     except ValueError:
         return None
     return value if np.isfinite(value) else None

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
     import tifffile
     from numpy.typing import NDArray
 
-_TIME_UNITS_S: Final = {
-    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+_IMAGEJ_TO_S: Final = {
+    **ome.TO_S,
+    **dict.fromkeys(("sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("minute", "minutes"), 60.0),
 }
-"""Seconds of each unit of time that ImageJ's users write; an interval in another one is left out."""
+"""Seconds in the units of time that ImageJ's users write; an interval in another one is left out."""
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # the errors that it logs are raised here
 
@@ -71,9 +72,8 @@ class PagedTiff(FrameSource):
             raise InputError(f"{path.name} holds {len(series)} image series {shapes}", "save one stack per file")
         self._series = first
         rows, cols = page.imagelength, page.imagewidth
-        if first.shape[-2:] != (rows, cols):
-            raise InputError(f"{path.name} has axes {first.axes}", "a stack of frames (T, rows, cols) is expected")
-        if sum(size > 1 for size in first.shape[:-2]) > 1:  # planes or channels are no moments
+        several = sum(size > 1 for size in first.shape[:-2]) > 1  # planes or channels, which are no moments
+        if first.shape[-2:] != (rows, cols) or several:
             raise InputError(
                 f"{path.name} has axes {first.axes} {first.shape}", "a stack of frames (T, rows, cols) is expected"
             )
@@ -175,7 +175,7 @@ def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
     if tiff.is_ome and tiff.ome_metadata:
         return metadata | ome.parse(tiff.ome_metadata)
     imagej = tiff.imagej_metadata or {}
-    unit_s = _TIME_UNITS_S.get(str(imagej.get("tunit", "sec")).lower().replace("\\u00b5", "u").replace("µ", "u"))
+    unit_s = _IMAGEJ_TO_S.get(str(imagej.get("tunit", "sec")).lower().replace("\\u00b5", "µ"))
     interval = imagej.get("finterval")
     if unit_s is not None and (period := positive(interval)) is not None:
         metadata["frame_period_s"] = period * unit_s

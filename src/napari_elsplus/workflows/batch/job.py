@@ -144,9 +144,8 @@ class BatchItem:
     def fingerprint(self, job: BatchJob) -> Values:
         """Return number, bytes and newest time (ns) of the files, and a digest of the calibration of a `job`."""
         recording = Path(self.recording)
-        files = [
-            path.stat() for path in (recording, *recording.rglob("*"))
-        ]  # those of a folder may be written in place
+        # where it is a folder, those in it too: they may be written in place
+        files = [path.stat() for path in (recording, *recording.rglob("*"))]
         size, newest_ns = sum(file.st_size for file in files), max(file.st_mtime_ns for file in files)
         calibration = calibration_beside(self.recording) if job.calibration is None else job.calibration
         return {"recording": [len(files), size, newest_ns], "calibration": _digest(calibration)}
