@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -15,7 +16,9 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware import guardian as guardian_module
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import SILENT_S, Guardian, guard
 from napari_elsplus.hardware.rigs import open_rig
@@ -160,6 +163,76 @@ def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None
         assert "did not answer" in str(guardian.reports[0])
         with pytest.raises(ProcessLookupError):
             os.kill(first, 0)
+
+
+def no_memory(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+
+def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_the_galvo_is_parked(monkeypatch):
+    """Before: the thread that watches ended; nothing was on guard or parked, and no report said so."""
+    parks: list[DeviceError] = []
+    with (
+        CardServer(VirtualCard()) as server,
+        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), parks.append) as guardian,
+    ):
+        first = guardian.pid
+        with monkeypatch.context() as exhausted:
+            exhausted.setattr(guardian_module.subprocess, "Popen", no_memory)
+            os.kill(first, signal.SIGKILL)
+            seconds_until(lambda: len(parks) > 1)
+            assert "so the galvo was parked" in str(guardian.reports[0])
+            with pytest.raises(DeviceError, match="no guardian"):
+                guardian.check()
+        seconds_until(lambda: guardian.on_guard and guardian.pid != first, 20)
+        guardian.check()
+
+
+def test_a_guardian_that_never_comes_back_can_be_dismissed_and_revised(monkeypatch) -> None:
+    """Before: ValueError, from its closed pipe."""
+    with CardServer(VirtualCard()) as server:
+        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        monkeypatch.setattr(guardian_module.subprocess, "Popen", no_memory)
+        os.kill(guardian.pid, signal.SIGKILL)
+        seconds_until(lambda: len(guardian.reports) > 0)
+        guardian.revise(-0.8)
+        guardian.dismiss()
+
+
+def test_the_supervision_of_a_guardian_outlives_whoever_fails_on_its_reports() -> None:
+    """Before: the first exception of a subscriber, or of what parks, ended it."""
+    parks: list[DeviceError] = []
+
+    def fail(report: DeviceError) -> None:
+        parks.append(report)
+        raise RuntimeError("a defect elsewhere")
+
+    with (
+        CardServer(VirtualCard()) as server,
+        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), fail) as guardian,
+    ):
+        guardian.on_report(fail)
+        for _ in range(2):
+            now = guardian.pid
+            os.kill(now, signal.SIGKILL)
+            seconds_until(lambda now=now: guardian.on_guard and guardian.pid != now, 20)
+        assert parks
+
+
+def test_an_engine_moves_no_galvo_that_has_no_guardian(monkeypatch) -> None:
+    """Before: a scan was accepted while nothing was on guard."""
+    rig = open_rig("simulated", Simulation(scene=empty(), own_process=True))
+    with Engine(rig) as engine:
+        engine.hold(0.1)
+        with monkeypatch.context() as exhausted:
+            exhausted.setattr(guardian_module.subprocess, "Popen", no_memory)
+            os.kill(rig.guardian.pid, signal.SIGKILL)
+            seconds_until(lambda: rig.scanner.park_state.parked)
+            with pytest.raises(DeviceError, match="no guardian"):
+                engine.hold(0.1)
+            assert rig.scanner.park_state.parked
+        seconds_until(lambda: rig.guardian.on_guard, 20)
+        engine.hold(0.1)
 
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:

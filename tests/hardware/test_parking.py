@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import dataclass, field
 
 import pytest
@@ -137,6 +139,27 @@ def test_states_can_be_subscribed_to_and_a_subscriber_that_fails_does_not_stop_p
     end()
     parking.begin(ParkStage.DRIVEN)
     assert seen[-1] is ParkStage.PARKED
+
+
+@pytest.mark.parametrize("command", ["alarm", "revoke", "begin", "retarget"])
+def test_a_state_is_tested_and_entered_in_one_step(command) -> None:
+    """Before: an attempt that ended between the two was overwritten by the alarm."""
+    parking = Parking(SimulatedOutput(), PARK_V)
+    parking.begin(ParkStage.PARKING)
+    if command == "revoke":
+        parking.attempt()
+    entered, held = [], threading.Event()
+    parking.subscribe(lambda state: entered.append(state.stage))
+    arguments = {"alarm": ("no answer",), "revoke": ("moved",), "begin": (ParkStage.PARKING,), "retarget": (-0.8,)}
+    with parking._changed:
+        other = threading.Thread(target=lambda: (held.set(), getattr(parking, command)(*arguments[command])))
+        other.start()
+        held.wait()
+        time.sleep(0.05)
+        parking._state = ParkState(ParkStage.DRIVEN if command == "revoke" else ParkStage.PARKED)
+        expected = parking.state.stage if command != "begin" else ParkStage.PARKING
+    other.join()
+    assert parking.state.stage is expected
 
 
 class AnyOrder(RuleBasedStateMachine):

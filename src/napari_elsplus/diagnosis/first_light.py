@@ -223,6 +223,7 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     """
     frames = _configure(rig, preset_name, seconds)
     period_s = rig.camera.line_periods_per_frame * rig.camera.line_period_s
+    rig.check_guarded()
     rig.scanner.scan(parked_waveform(rig.limits, rig.scanner.park_v, period_s))
     buffer = np.empty(rig.camera.frame_shape, np.uint8)
     rig.camera.start()

@@ -127,6 +127,7 @@ class ScannedFrames:
         if waveform is None:
             scanner.park()
         else:
+            self._rig.check_guarded()
             scanner.scan(waveform)
         after_s = time.perf_counter() + _SKIPPED_PERIODS * self.timing.frame_period_s
         frames: list[NDArray[np.uint8]] = []

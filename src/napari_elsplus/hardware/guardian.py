@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import atexit
 import json
+import logging
 import subprocess
 import sys
 import threading
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.protocols import Scanner
+
+_log = logging.getLogger(__name__)
 
 ParkOrder: TypeAlias = CardOrder | DriverOrder
 """Instruction by which another process parks: by the card, or by a driver outside this package."""
@@ -62,16 +65,24 @@ class GuardianProcess:
     ----------
     order : ParkOrder
         What it does if this process dies.
+
+    Raises
+    ------
+    DeviceError
+        If the system starts no process.
     """
 
     def __init__(self, order: ParkOrder) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            **DETACHED,  # Ctrl-C and a closed terminal are for us, not for it
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                **DETACHED,  # Ctrl-C and a closed terminal are for us, not for it
+            )
+        except OSError as error:
+            raise DeviceError(f"the galvo's guardian did not start: {error}", "free memory, end processes") from error
         self._ready = threading.Event()
         self._answered = threading.Event()
         self._beats = threading.Event()
@@ -113,6 +124,8 @@ class GuardianProcess:
     def send(self, line: str) -> None:
         """Write a line to its pipe; raises OSError if it is no more."""
         pipe = cast("IO[str]", self._process.stdin)
+        if pipe.closed:
+            raise BrokenPipeError("the guardian was ended")
         pipe.write(line + "\n")
         pipe.flush()
 
@@ -203,6 +216,19 @@ class Guardian:
         """Events of the guardians, oldest first."""
         return tuple(self._reports)
 
+    def check(self) -> None:
+        """Raise while nothing is on guard: the galvo must not move then.
+
+        Raises
+        ------
+        DeviceError
+            If the guardian is gone or does not answer, and another is not on guard yet.
+        """
+        if not self.on_guard:
+            raise DeviceError(
+                "the galvo has no guardian now", "start again when the faults say that another is on guard"
+            )
+
     def on_report(self, callback: Callable[[DeviceError], None]) -> None:
         """Call `callback` with every later report, in the thread that supervises."""
         self._subscribers.append(callback)
@@ -244,20 +270,27 @@ class Guardian:
             self._process.beat(min(now_s - checked_s, MAX_STEP_S))
             checked_s = now_s
             if not self._process.on_guard:
-                self._replace("did not answer" if self._process.alive else "had died")
+                try:
+                    self._replace("did not answer" if self._process.alive else "had died")
+                except Exception:  # noqa: BLE001 - supervision goes on: the next check tries again
+                    _log.exception("a guardian could not be replaced")
 
     def _replace(self, why: str) -> None:
         begun_s = time.monotonic() - self._process.silent_s
         self._process.kill()  # without a farewell, which one that stands still would not read
-        with self._lock:
-            new = GuardianProcess(self._order)
-            self._process = new
+        parked = f"the galvo's guardian {why}, so the galvo was parked"
+        try:
+            with self._lock:
+                new = self._process = GuardianProcess(self._order)
+        except DeviceError:  # the next check tries again
+            self._lost(self._report(parked))
+            return
         ready = new.wait_until_ready(max(0.0, begun_s + REPLACE_WITHIN_S - time.monotonic()))
         if ready:
             took_s = time.monotonic() - begun_s
             self._report(f"the galvo's guardian {why}; another was on guard {took_s:.1f} s later")
             return
-        self._lost(self._report(f"the galvo's guardian {why}, so the galvo was parked"))
+        self._lost(self._report(parked))
         if new.wait_until_ready(START_TIMEOUT_S):
             self._report("another guardian is on guard; the galvo may be used again")
 
@@ -267,7 +300,10 @@ class Guardian:
         report = DeviceError(problem, "find out what ended it (memory, or another program), then start again")
         self._reports.append(report)
         for callback in tuple(self._subscribers):
-            callback(report)
+            try:
+                callback(report)
+            except Exception:  # noqa: BLE001 - it is parked, whatever a subscriber does
+                _log.exception("a subscriber to the guardian's reports failed")
         return report
 
 

@@ -162,22 +162,25 @@ class Parking:
     def retarget(self, volts: float) -> None:
         """Set the parking voltage of later attempts, in volts; subscribers are called with the state as it is."""
         self.volts = volts
-        self._enter(self._state)
+        self._change(lambda state: state)
 
     def begin(self, stage: ParkStage) -> None:
         """Enter a stage: ``DRIVEN`` before a hold or scan, ``PARKING`` when parking is commanded."""
-        if not (stage is ParkStage.PARKING and self._state.stage in (ParkStage.PARKING, ParkStage.NOT_PARKED)):
-            self._enter(ParkState(stage))
+        goes_on = (ParkStage.PARKING, ParkStage.NOT_PARKED) if stage is ParkStage.PARKING else ()
+        self._change(lambda state: None if state.stage in goes_on else ParkState(stage))
 
     def alarm(self, problem: str) -> None:
         """Enter ``NOT_PARKED`` with a problem while an attempt does not come to an end."""
-        if self._state.stage is ParkStage.PARKING:
-            self._enter(replace(self._state, stage=ParkStage.NOT_PARKED, problem=problem))
+
+        def alarmed(state: ParkState) -> ParkState | None:
+            ongoing = state.stage is ParkStage.PARKING
+            return replace(state, stage=ParkStage.NOT_PARKED, problem=problem) if ongoing else None
+
+        self._change(alarmed)
 
     def revoke(self, problem: str) -> None:
         """Enter ``NOT_PARKED`` with a problem found while it was ``PARKED``."""
-        if self._state.parked:
-            self._enter(ParkState(ParkStage.NOT_PARKED, problem))
+        self._change(lambda state: ParkState(ParkStage.NOT_PARKED, problem) if state.parked else None)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the galvo is parked; return False if it is not within `timeout_s`."""
@@ -210,7 +213,7 @@ class Parking:
         else:
             stage = ParkStage.PARKED if volts == self.volts else ParkStage.PARKING  # it may have been changed meanwhile
             state = ParkState(stage, "", before.attempts + 1, resets, reset_s, read_back_v)
-        self._enter(state)
+        self._change(lambda _: state)
         return state
 
     @staticmethod
@@ -222,8 +225,12 @@ class Parking:
             return str(error)
         return ""
 
-    def _enter(self, state: ParkState) -> None:
+    def _change(self, change: Callable[[ParkState], ParkState | None]) -> None:
+        """Enter the state that follows from the one now, if any does, before any other thread enters one."""
         with self._changed:
+            state = change(self._state)
+            if state is None:
+                return
             self._state = state
             subscribers = tuple(self._subscribers)
             self._changed.notify_all()

@@ -53,6 +53,17 @@ class Rig(ClosedOnExit):
     bench: VirtualBench | None = None
     _held: ExitStack = field(default_factory=ExitStack, repr=False)
 
+    def check_guarded(self) -> None:
+        """Raise while the galvo must not move because its guardian is gone; every mover of the galvo calls it before.
+
+        Raises
+        ------
+        DeviceError
+            If there is to be a guardian, and none is on guard.
+        """
+        if self.guardian is not None:
+            self.guardian.check()
+
     def close(self) -> None:
         """Park the galvo, and close camera and card."""
         self._held.close()

@@ -336,3 +336,23 @@ def test_every_error_of_the_driver_is_ours(cards, ramp, wait_for) -> None:
                 scanner.scan(ramp)
             except DeviceError:
                 wait_for(lambda: scanner.park_state.parked)
+
+
+def test_a_park_that_the_cards_thread_completes_at_once_is_not_called_not_parked(cards, ramp, wait_for) -> None:
+    """Before: the state went back to parking after the confirmation, with no attempt to follow: a false alarm."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+
+        class TakenUpAtOnce(threading.Event):
+            """Set as seen by a commanding thread that then stands still until the attempt is over."""
+
+            def set(self) -> None:
+                super().set()
+                if threading.current_thread() is threading.main_thread():
+                    scanner._card.wake()
+                    wait_for(lambda: not self.is_set() and scanner.park_state.parked)
+
+        scanner._parks = TakenUpAtOnce()
+        scanner.park()
+        assert scanner.park_state.parked

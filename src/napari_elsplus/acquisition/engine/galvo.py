@@ -52,6 +52,7 @@ class GalvoController:
 
     def __init__(self, rig: Rig, setup: CameraSetup, operations: Operations, faults: FaultLog) -> None:
         self._scanner, self._strobe, self._setup = rig.scanner, rig.strobe, setup
+        self._check_guarded = rig.check_guarded
         self._operations = operations
         self._rig_park_v = rig.scanner.park_v
         self.limits: GalvoLimits = rig.limits
@@ -169,6 +170,7 @@ class GalvoController:
 
     def _move(self, move: Callable[[], None]) -> None:
         self._operations.check()
+        self._check_guarded()
         self.scanned_by = None
         try:
             move()

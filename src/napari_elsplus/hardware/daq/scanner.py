@@ -159,7 +159,9 @@ class DaqScanner(ClosedOnExit):
         self._command_parking()
         if not self._parking.wait(PARK_TIMEOUT_S):
             self._parking.alarm("the card has not confirmed it")
-            raise DeviceError(self._parking.state.message, "free the card, and check its cable")
+            state = self._parking.state
+            if not state.parked:
+                raise DeviceError(state.message, "free the card, and check its cable")
 
     def try_reset(self) -> ResetResult:
         """Reset the card, and park; return what the reset did to the output. The laser has to be off.
@@ -270,8 +272,8 @@ class DaqScanner(ClosedOnExit):
 
     def _command_parking(self) -> None:
         self._parkings += 1
+        self._parking.begin(ParkStage.PARKING)  # before: the attempt may be over at once, and its state is the last
         self._parks.set()
-        self._parking.begin(ParkStage.PARKING)
         self._card.wake()
 
     def _turn(self) -> float | None:
