@@ -156,6 +156,10 @@ class SmallRig:
     guardian: None = None
     bench: None = None
 
+    def check_guarded(self) -> None:
+        if self.guardian is not None:
+            self.guardian.check()
+
     def close(self) -> None:
         self.scanner.close()
         self.camera.close()

@@ -41,13 +41,14 @@ class DocumentedCore:
     made: ClassVar[list[DocumentedCore]] = []
     limits: ClassVar = {RATE: (1.0, 250.0), "Gain": (0.0, 24.0)}
     row_step, exposure_step_ms, bytes_per_pixel, rate_held = 1, 1e-4, 1, 1.0
-    camera = "Camera"
+    camera, restarts = "Camera", False
 
     def __init__(self, folder: str | None = None) -> None:
         self.folder, self.loaded, self.unloaded = folder, "", 0
         self.roi, self.exposure_ms = [0, 0, SENSOR[1], SENSOR[0]], 10.0
         self.properties = {RATE: "100.0", "Gain": "0.0", "Name": "documented"}
         self.megabytes, self.buffer, self.lost = 0, [], set()
+        self.before = 0
         self.start_s, self.sent, self.inserted = None, 0, 0
         self.on_unload = lambda: None
         DocumentedCore.made.append(self)
@@ -111,6 +112,7 @@ class DocumentedCore:
 
     def startContinuousSequenceAcquisition(self, interval_ms):
         self.buffer, self.sent, self.inserted, self.start_s = [], 0, 0, time.perf_counter()
+        self.before = 0
 
     def stopSequenceAcquisition(self):
         self.start_s = None
@@ -127,7 +129,10 @@ class DocumentedCore:
                 continue
             if len(self.buffer) == self.megabytes * (1 << 20) // (rows * cols):
                 self.buffer.clear()
-            tags = {"ImageNumber": str(self.inserted), "ElapsedTime-ms": f"{(number + 1) * period_s * 1e3:.2f}"}
+                if self.restarts:
+                    self.inserted, self.before = 0, number
+            elapsed_ms = (number + 1 - self.before) * period_s * 1e3
+            tags = {"ImageNumber": str(self.inserted), "ElapsedTime-ms": f"{elapsed_ms:.2f}"}
             self.buffer.append({**tags, "FrameCounter": str(1000 + number)})
             self.inserted += 1
         self.sent = due
@@ -237,6 +242,29 @@ def test_what_the_core_discards_and_what_the_camera_loses_are_counted_apart(core
         assert camera.dropped == {"gap": 3, "slow consumer": last - 10}
         assert last > 60
         assert camera.frames_received >= before + 200
+
+
+@pytest.mark.parametrize("tag", ["ImageNumber", "FrameCounter"])
+def test_a_core_that_counts_anew_when_its_buffer_was_emptied_hides_no_loss(core, monkeypatch, tag) -> None:
+    """Before: the numbers fell, and no frame counted as lost."""
+    monkeypatch.setattr(core, "restarts", True)
+    with MicroManagerCamera("my.cfg", RATE, frame_number=tag) as camera:
+        device = core.made[-1]
+        camera.configure(PAPER, slit_rows=3, frame_rate_hz=200)
+        camera.start()
+        before = take(camera, 10)
+        time.sleep(0.9)
+        after = take(camera, 10)
+        truth = (
+            device.sent - device.inserted + int(device.buffer[0]["ImageNumber"] if device.buffer else device.inserted)
+        )
+        uncertain = 0 if tag == "FrameCounter" else 2
+        assert after[-1].frame_number + 1 == pytest.approx(truth, abs=uncertain)
+        assert [info.frame_number - after[0].frame_number for info in after] == list(range(10))
+        assert sum(camera.dropped.values()) == after[0].frame_number - 10 > 60
+        seconds = after[-1].readout_start_s - before[0].readout_start_s
+        assert seconds == pytest.approx((after[-1].frame_number - before[0].frame_number) / 200, abs=1e-4)
+        assert camera.frames_received == pytest.approx(device.sent, abs=uncertain)
 
 
 def test_the_buffer_holds_a_quarter_of_a_second(core) -> None:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import MAX_HOLD_S, CardSettings
-from napari_elsplus.hardware.micro_manager.camera import CORE_NUMBER
+from napari_elsplus.hardware.micro_manager.frame_count import CORE_NUMBER
 from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.scan.waveform import GalvoLimits

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import inf
+from math import inf, nan
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.acquisition.engine.status import Settings
@@ -64,6 +64,8 @@ class CameraSetup:
         self._rate_hz = self._preset.optics.frame_rate_hz
         self._bus_bytes_per_s = inf
         self._measured: Region | None = None
+        self.bytes_per_s = nan
+        """Data rate of raw frames; kept, so that whoever asks does not disturb the camera. NaN until configured."""
         self.configured = False
         """True if the camera has the settings."""
 
@@ -85,6 +87,7 @@ class CameraSetup:
             rate_hz = self._default_rate_hz(region, settings, rate_hz)
         camera.configure(region, slit_rows=settings.slit_rows, frame_rate_hz=rate_hz, gain_db=settings.gain_db)
         self.settings, self._region, self._rate_hz, self.configured = settings, region, rate_hz, True
+        self.bytes_per_s = region.rows * region.cols * self.frame_rate_hz
         self.settling = SETTLING_FRAMES
 
     def require(self) -> None:
@@ -145,12 +148,6 @@ class CameraSetup:
     def frame_rate_hz(self) -> float:
         """Frames per second of the camera."""
         return 1 / (self.line_periods_per_frame * self.line_period_s)
-
-    @property
-    def bytes_per_s(self) -> float:
-        """Data rate of raw frames."""
-        rows, cols = self.frame_shape
-        return rows * cols * self.frame_rate_hz
 
     @property
     def acquired_with(self) -> AcquiredWith:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import replace
-from math import nan
-from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Final
 
@@ -205,7 +203,9 @@ class Engine(ClosedOnExit):
         self.galvo.park()
 
     def secure(self, error: DeviceError) -> None:
-        """Park, and end a recording, because of an error found elsewhere; frames go on streaming. Waits for no lock."""
+        """Park and end a recording, if there is anything to, because of an error found elsewhere. Waits for no lock."""
+        if self.galvo.park_state.parked and not (self._run is not None and self._run.recorded):
+            return
         self._faults.add("engine", error)
         self.operations.interrupt(error.problem)
         self.galvo.try_to_park()
@@ -242,9 +242,8 @@ class Engine(ClosedOnExit):
 
     def refuse_while_recording(self) -> None:
         """Raise an InputError while frames are recorded: what would change them has to wait."""
-        recording = self._run.recording if self._run is not None and self._live else None
-        if recording is not None and recording.running:
-            raise InputError(f"{Path(recording.path).name} is being recorded", "end the recording first")
+        if self._run is not None and self._live and self._run.recorded:
+            raise InputError(f"{self._run.recorded} is being recorded", "end the recording first")
 
     def stop_recording(self) -> None:
         """Finish the recording with the newest frame; returns when the file is complete."""
@@ -281,7 +280,7 @@ class Engine(ClosedOnExit):
             if run is not None:
                 run.raise_ending_fault()
             raise DeviceError("no frames stream", "start the stream first")
-        return run.fresh_frames(count, after_s, _FRAME_TIMEOUT_S)
+        return run.fresh_frames(count, after_s, _FRAME_TIMEOUT_S, self.operations.check)
 
     def status(self) -> Status:
         """Return counts, faults and what is in operation."""
@@ -293,7 +292,7 @@ class Engine(ClosedOnExit):
             live=self._live,
             scanning=self.galvo.scanning,
             park_state=self.galvo.park_state,
-            disk_bytes_per_s=nan if self._run is None else self.setup.bytes_per_s,
+            disk_bytes_per_s=self.setup.bytes_per_s,
             display=self._imaging.display.where,
             faults=self._faults.all(),
             stale={} if self._run is None else self.setup.stale(self.calibration),
@@ -316,8 +315,8 @@ class Engine(ClosedOnExit):
                 self.finish_recording()
             finally:
                 self._rig.close()
-                self._imaging.display.close()
                 self.galvo.close()
+                self._imaging.display.close()
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:

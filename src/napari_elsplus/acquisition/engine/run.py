@@ -175,6 +175,12 @@ class Run:
             return None
         return RecordingState(str(self._recorder.plan.path), self._recorder.frames, self._recorder.is_alive())
 
+    @property
+    def recorded(self) -> str:
+        """Name of the file that is being recorded; empty without a recording."""
+        recorder = self._recorder
+        return recorder.plan.path.name if recorder is not None and recorder.is_alive() else ""
+
     def status(self, *, live: bool) -> Status:
         """Return the counts of the run, with the camera's rate while it is live."""
         tally = self.tally
@@ -202,7 +208,9 @@ class Run:
             if fault.source in ENDING:
                 raise DeviceError(fault.problem, fault.remedy)
 
-    def fresh_frames(self, count: int, after_s: float, timeout_s: float) -> NDArray[np.uint8]:
+    def fresh_frames(
+        self, count: int, after_s: float, timeout_s: float, check: Callable[[], None] = lambda: None
+    ) -> NDArray[np.uint8]:
         """Copy the next frames whose exposure began after a moment, however long their transfer took.
 
         Parameters
@@ -212,7 +220,9 @@ class Run:
         after_s : float
             On the clock of ``time.perf_counter``.
         timeout_s : float
-            Time to wait for each.
+            Time to wait for each, once that moment has come.
+        check : callable
+            Called between frames; what it raises ends the wait.
 
         Returns
         -------
@@ -228,14 +238,22 @@ class Run:
         frames = np.empty((count, *self._stream.frame_shape), np.uint8)
         got = 0
         try:
+            due_s = max(after_s, time.perf_counter()) + timeout_s
             while got < count:
-                taken = cursor.take(timeout_s)
+                check()
+                taken = cursor.take(max(0.0, due_s - time.perf_counter()))
                 if taken is None:
                     self.raise_ending_fault()
                     raise DeviceError(f"{got} of {count} frames came", "check the camera, then start again")
                 if taken[1].readout_start_s + self._camera_worker.camera_clock_s >= after_s:
                     frames[got] = taken[0]
                     got += 1
+                    due_s = time.perf_counter() + timeout_s
+                elif time.perf_counter() > due_s:
+                    raise DeviceError(
+                        f"{got} of {count} frames came, the others were exposed before by the camera's clock",
+                        "start the stream again, which compares the clocks anew",
+                    )
         finally:
             cursor.close()
         return frames

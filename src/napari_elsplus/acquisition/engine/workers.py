@@ -8,6 +8,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
+from napari_elsplus.acquisition.streaming.even_clock import EvenClock
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.priority import Rank, join_frame_core
 from napari_elsplus.hardware.protocols import HasClock
@@ -110,6 +111,7 @@ class CameraWorker(Thread):
         before: dict[str, int] = {}
         expected: int | None = None
         missing = 0
+        clock = EvenClock(frame_period_s)
         while not self._stopping.is_set():
             slot = stream.acquire()
             try:
@@ -122,17 +124,22 @@ class CameraWorker(Thread):
                     ) from None
                 continue
             last_s = info.received_s
+            readout_start_s = clock.readout_start_s(info)
+            if clock.jump_s:
+                self._faults.add(
+                    "clock", DeviceError("the clock of the camera jumped", "times follow its frame numbers")
+                )
             self.received = info.frame_number + 1
             if self.camera_clock_s == -inf:
                 measured_s = camera.clock_zero_s if isinstance(camera, HasClock) else None
                 start_takes_s = _START_TAKES_S if measured_s is None else 0.0
-                first_exposed_s = info.readout_start_s - info.frame_number * frame_period_s
+                first_exposed_s = readout_start_s - info.frame_number * frame_period_s
                 guessed_s = started_s - start_takes_s - first_exposed_s
                 self.camera_clock_s = guessed_s if measured_s is None else measured_s
-            latest_s = info.received_s - info.readout_start_s - readout_s  # no frame comes before it was read
+            latest_s = info.received_s - readout_start_s - readout_s  # no frame comes before it was read
             self.camera_clock_s = min(self.camera_clock_s, latest_s)
             if not settled:
-                late_s = info.received_s - (info.readout_start_s + self.camera_clock_s) - start_takes_s - frame_period_s
+                late_s = info.received_s - (readout_start_s + self.camera_clock_s) - start_takes_s - frame_period_s
                 settled = late_s < frame_period_s or info.received_s - started_s > _MAX_SETTLING_S
                 settled = settled and info.frame_number >= self._settling
                 before = dict(camera.dropped)  # frames lost before the first one used do not count
@@ -147,7 +154,7 @@ class CameraWorker(Thread):
                 tally.lost_by_camera(known, missing)
             tally.arrived(info.received_s)
             stream.finalize(  # last: it wakes the threads that wait for the frame
-                slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=info.readout_start_s
+                slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=readout_start_s
             )
 
 

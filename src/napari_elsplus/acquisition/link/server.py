@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
+    from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
@@ -57,6 +58,7 @@ class Server:
         self._sending = Lock()
         self._ended = Event()
         self._calibration: Calibration | None = None
+        self._status_fails = False
 
     def serve(self) -> None:
         """Execute commands until the connection ends; then close the rig."""
@@ -105,7 +107,9 @@ class Server:
         """Send status, calibration if it has changed, and replies; an older status never follows a newer one."""
         try:
             with self._sending:
-                self._connection.send(self._session.status)
+                status = self._status()
+                if status is not None:
+                    self._connection.send(status)
                 calibration = self._session.calibration
                 if replies and calibration is not self._calibration:
                     self._connection.send(Activated(calibration))
@@ -114,6 +118,18 @@ class Server:
                     self._connection.send(reply)
         except OSError:  # the client is gone; `serve` notices by itself
             self._ended.set()
+
+    def _status(self) -> Status | None:
+        """Return the status; None where it fails, a defect of ours, which is printed once: replies are sent anyway."""
+        try:
+            status = self._session.status
+        except Exception as error:  # noqa: BLE001 - see above
+            if not self._status_fails:
+                sys.excepthook(type(error), error, error.__traceback__)
+            self._status_fails = True
+            return None
+        self._status_fails = False
+        return status
 
 
 def run(open_rig: Callable[[str], Rig]) -> None:

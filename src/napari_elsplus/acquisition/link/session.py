@@ -114,12 +114,9 @@ class Session:
         self._cancelled.set()
 
     def _secure(self, fault: DeviceError) -> None:
-        """Park and end a recording for a fault, unless the galvo is parked and nothing is recorded."""
+        """Park and end a recording for a fault."""
         opened = self._opened
-        if opened is None:
-            return
-        status = opened[1].status()
-        if not status.park_state.parked or (status.recording is not None and status.recording.running):
+        if opened is not None:
             opened[1].secure(fault)
 
     @contextmanager

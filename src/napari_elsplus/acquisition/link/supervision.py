@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from math import isfinite
 from threading import Event, Thread
@@ -12,6 +13,8 @@ from napari_elsplus.errors import DeviceError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+_log = logging.getLogger(__name__)
 
 _TESTS: Final = 10
 """Tests in the interval of heartbeats; chosen: at most 0.05 s late."""
@@ -63,4 +66,7 @@ class Supervision(Thread):
                 self._armed = False
                 problem = f"the window was frozen for {self._timeout_s:g} s: the galvo was parked, a recording ended"
                 remedy = "start again; heartbeat_timeout_s of [rig] in the settings file allows more"
-                self._act(DeviceError(problem, remedy))
+                try:
+                    self._act(DeviceError(problem, remedy))
+                except Exception:  # noqa: BLE001 - the next silence has to be acted upon, too
+                    _log.exception("a frozen window could not be acted upon")

@@ -7,7 +7,6 @@ properties, whose names differ between adapters.
 from __future__ import annotations
 
 import time
-from collections import Counter
 from contextlib import contextmanager, suppress
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +16,7 @@ import numpy as np
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.limits import RATE_TOLERANCE, SensorLimits
+from napari_elsplus.hardware.micro_manager.frame_count import CORE_NUMBER, FrameCount
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.protocols import Region
 
-CORE_NUMBER, ELAPSED_MS = "ImageNumber", "ElapsedTime-ms"
-"""Tags that MMCore adds to every image: its count and its time since the sequence began, in milliseconds."""
 DEPTH: Final = 64
 """Frames that wait for their reader in MMCore, which discards all of them when there is no room; chosen: 0.27 s at
 240 Hz, twice that of the USB3 Vision driver, which discards single frames."""
@@ -85,9 +83,8 @@ class MicroManagerCamera(ClosedOnExit):
         self._region: Region | None = None
         self._rate_hz = 0.0
         self._streams = False
-        self._received = self._offset = 0
-        self._last = self._last_in_core = -1
-        self._dropped: Counter[str] = Counter()
+        self._received = 0
+        self._count = FrameCount(self._number_tag, self._rate_hz)
 
     @property
     def sensor(self) -> SensorLimits:
@@ -117,12 +114,12 @@ class MicroManagerCamera(ClosedOnExit):
     def frames_received(self) -> int:
         """Frames that have reached MMCore since the camera was opened, unread ones included."""
         waiting = self._core.getRemainingImageCount() if self._streams else 0
-        return int(self._received + self._last_in_core + 1 + waiting)
+        return int(self._received + self._count.in_core + waiting)
 
     @property
     def dropped(self) -> Mapping[str, int]:
         """Frames lost since `start`, by cause."""
-        return dict(self._dropped)
+        return dict(self._count.dropped)
 
     def configure(self, region: Region, *, slit_rows: int, frame_rate_hz: float, gain_db: float = 0.0) -> None:
         """Set the camera; see :meth:`napari_elsplus.hardware.protocols.Camera.configure`."""
@@ -149,7 +146,7 @@ class MicroManagerCamera(ClosedOnExit):
         if self._streams:
             return
         rows, cols = self._configured().shape
-        self._dropped.clear()
+        self._count = FrameCount(self._number_tag, self._rate_hz)
         with _translate_errors():
             self._core.setCircularBufferMemoryFootprint(ceil(DEPTH * rows * cols / (1 << 20)))
             self._core.startContinuousSequenceAcquisition(0)
@@ -167,18 +164,19 @@ class MicroManagerCamera(ClosedOnExit):
             raise InputError(f"a buffer of {buffer.shape} {buffer.dtype}", f"give {shape} uint8, C-contiguous")
         with _translate_errors():
             image, tags = self._oldest(time.perf_counter() + timeout_s)
-        received_s = time.perf_counter()
+            received_s, waiting = time.perf_counter(), self._core.getRemainingImageCount()
         if image.shape != shape:
             raise DeviceError(f"a frame of {image.shape} instead of {shape} pixels", "configure the camera again")
         np.copyto(buffer, image)
-        return FrameInfo(self._count(tags), received_s, float(tags[ELAPSED_MS]) * 1e-3)
+        number, time_s = self._count.add(tags, received_s, waiting)
+        return FrameInfo(number, received_s, time_s)
 
     def stop(self) -> None:
         """End the stream; frames not read yet are discarded."""
         if not self._streams:
             return
         self._received, self._streams = self.frames_received, False
-        self._last = self._last_in_core = -1
+        self._count.in_core = 0
         with suppress(RuntimeError):  # it is gone: there is nothing to stop
             self._core.stopSequenceAcquisition()
 
@@ -253,24 +251,6 @@ class MicroManagerCamera(ClosedOnExit):
                 raise TimeoutError("no frame came in time")
             else:
                 time.sleep(POLL_S)
-
-    def _count(self, tags: Mapping[str, str]) -> int:
-        """Return the number of a frame, and count those that are missing before it.
-
-        A number that MMCore has given and that is missing was discarded by it, because nothing read the frames.
-        """
-        if self._number_tag not in tags:
-            raise DeviceError(f"the frames carry no tag {self._number_tag}", f"choose among {', '.join(sorted(tags))}")
-        in_core, number = int(tags[CORE_NUMBER]), int(tags[self._number_tag])
-        if self._last_in_core < 0:
-            self._offset = number - in_core
-        number -= self._offset
-        discarded, missing = in_core - self._last_in_core - 1, number - self._last - 1
-        for cause, count in (("slow consumer", discarded), ("gap", missing - discarded)):
-            if count > 0:
-                self._dropped[cause] += count
-        self._last, self._last_in_core = number, in_core
-        return number
 
 
 def _load(config: str, folder: str) -> Any:
