@@ -268,6 +268,30 @@ def test_a_disk_that_fails_while_it_is_flushed_is_said_at_the_next_frame(tmp_pat
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="there is no such call")
+def test_a_disk_that_failed_after_the_last_frame_is_said_at_the_end_and_the_file_is_whole(tmp_path, monkeypatch):
+    """Before: a system reports a lost write once; the flush beside had swallowed it, and the end was well."""
+    path = tmp_path / "still.ome.tif"
+    monkeypatch.setattr("napari_elsplus.io.recorder.FLUSH_PERIOD_S", 0.05)
+    fsync, failures = os.fsync, [OSError(errno.EIO, os.strerror(errno.EIO))]
+
+    def failing_once(file: int) -> None:
+        fsync(file)
+        if failures:
+            raise failures.pop()
+
+    writer = RecordingWriter(path, (40, 60), np.uint8)
+    for k in range(3):
+        writer.append(np.full((40, 60), k, np.uint8), time_s=k / 240, frame_number=k)
+    monkeypatch.setattr("os.fsync", failing_once)
+    writer._flusher.join(timeout=10)
+    with pytest.raises(OSError, match="may not have reached the disk") as raised:
+        writer.close()
+    assert raised.value.errno == errno.EIO
+    with open_recording(path) as recording:
+        assert recording.frame_numbers.tolist() == [0, 1, 2]
+        assert recording.metadata["frame_period_s"] == pytest.approx(1 / 240)
+
+
 def test_what_is_flushed_leaves_the_systems_memory(tmp_path, monkeypatch):
     """A file of gigabytes would fill it, and every new page costs time; the newest page still has to be linked."""
     released = []

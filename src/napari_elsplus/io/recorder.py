@@ -184,6 +184,9 @@ class RecordingWriter(ClosedOnExit):
         except OSError:
             self._cut_to_whole_pages()
             raise
+        if (failed := self._flush_failed) is not None:  # a system tells of a write that was lost only once
+            problem = f"some of the recording may not have reached the disk ({failed.strerror})"
+            raise OSError(failed.errno, problem, str(self.path)) from failed
 
     def _metadata(self) -> ImageMetadata:
         times = np.array(self._times_s)

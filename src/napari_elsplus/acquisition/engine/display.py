@@ -49,14 +49,16 @@ class Display:
         ------
         CalibrationError
             If the calibration does not fit the frames, or lacks what the view needs; nothing has changed then.
+        OSError
+            If there is no memory for the ring; nothing has changed then.
         """
         images = LiveImages(frame_shape, calibration, view)
         if self.sink is not None and self.where is not None and self.where[1] == images.layout:
             ring = self.sink.ring
         else:
+            name, ring = self._make_ring(images.layout)
             if self.sink is not None:
                 self._retired.append(self.sink.ring)
-            name, ring = self._make_ring(images.layout)
             self.where = (name, images.layout)
         self.sink = DisplaySink(images, ring)
         return self.sink

@@ -197,8 +197,13 @@ class Ring:
             return None
 
     def close(self) -> None:
-        """Release the memory once no reader copies from it; readers find nothing newer from then on."""
+        """Release the memory once no reader copies from it; readers find nothing newer from then on.
+
+        Does nothing the second time.
+        """
         with self._lease:
+            if self._closed:
+                return
             self._closed = True
             del self._headers, self._states
             self._arrays.clear()

@@ -116,7 +116,9 @@ class SharedRing(Ring):
         return self._segment.name
 
     def close(self) -> None:
-        """Release the memory once no reader copies from it; the owner deletes it."""
+        """Release the memory once no reader copies from it; the owner deletes it. Does nothing the second time."""
+        if self._closed:
+            return
         super().close()
         self._segment.close()
         if self._owned:
