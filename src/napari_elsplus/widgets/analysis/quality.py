@@ -86,6 +86,7 @@ class QualityPanel(AnalysisPanel):
         self._boxes: Shapes | None = None
         self._aligned = ""
         self._measured = ""
+        self._averaging = False
         self._build()
         self.cores.changed.connect(self.measure_resolution)
         self.recording.changed.connect(self._recording_changed)
@@ -104,8 +105,8 @@ class QualityPanel(AnalysisPanel):
         """Add a layer for boxes around the elements of a USAF target; each is measured when it is drawn."""
         with notify_errors(self):
             stack, calibration, _ = self._chosen()
-            place = space(_scale(stack, calibration), images_origin_px(calibration))
-            self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes(place))
+            _scale(stack, calibration)  # refused here, not after the first box
+            self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes())
         self._layers_changed()
 
     def measure_resolution(self) -> None:
@@ -120,10 +121,11 @@ class QualityPanel(AnalysisPanel):
         self.show_numbers()
 
     def measure_edge(self) -> None:
-        """Average the residual images of the recording in a thread."""
+        """Average the residual images of the recording in a thread; ended if another recording is selected."""
         with notify_errors(self):
             stack, calibration, _ = self._chosen()
-            place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
+            place = self._place()
+            self._averaging = True
             self.work.begin(
                 len(stack.planes),
                 lambda: measure_edge(stack, calibration, self.work.progress),
@@ -201,16 +203,30 @@ class QualityPanel(AnalysisPanel):
         facts = layer.metadata["elsplus"]
         return facts["stack"], facts["calibration"], shown_index(self.viewer, layer)
 
-    def _draw_boxes(self, place: dict[str, Any]) -> None:
-        if self._boxes is None:
-            self._boxes = Shapes(
-                name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
-            )
-            self._boxes.events.data.connect(self.measure_resolution)
-            self.viewer.layers.append(self._boxes)
-        self.viewer.layers.selection.active = self._boxes
-        self._boxes.mode = "add_rectangle"
+    def _place(self) -> dict[str, Any]:
+        """Return scale, translation and units of the selected recording's images, as layer attributes."""
+        stack, calibration, _ = self._chosen()
+        return space(um_per_px_of(stack, calibration), images_origin_px(calibration))
+
+    def _draw_boxes(self) -> None:
+        with notify_errors(self):
+            place = self._place()
+            if self._boxes is None:
+                self._boxes = Shapes(
+                    name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
+                )
+                self._boxes.events.data.connect(self.measure_resolution)
+                self.viewer.layers.append(self._boxes)
+            self.viewer.layers.selection.active = self._boxes
+            self._boxes.mode = "add_rectangle"
         self.show_numbers()
+
+    def _move_boxes(self) -> None:
+        """Place the boxes on the same pixels of the selected recording's images."""
+        if self._boxes is not None and self.recording.value is not None:
+            with notify_errors(self):
+                for name, value in self._place().items():
+                    setattr(self._boxes, name, value)
 
     def _edge_measured(self, edge: EdgeMap, place: dict[str, Any]) -> None:
         self.edge = edge
@@ -247,11 +263,18 @@ class QualityPanel(AnalysisPanel):
         set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
         self.show_numbers()
 
+    def _work_ended(self) -> None:
+        self._averaging = False
+        super()._work_ended()
+
     def _recording_changed(self) -> None:
-        """Measure again what is displayed; the edge map is of the recording before."""
+        """Measure again what is displayed; an edge map, also one that is being made, is of the recording before."""
         if self.recording.value == self._measured:
             return
         self._measured = self.recording.value
+        if self._averaging:
+            self.work.cancel()
+        self._move_boxes()
         if self.edge is not None:
             self.edge = None
             self.plot.draw([])
