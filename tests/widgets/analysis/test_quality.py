@@ -158,3 +158,24 @@ def test_an_edge_map_is_not_displayed_under_another_recording(viewer, panel, tmp
     panel.average.native.click()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
     assert EDGE in viewer.layers
+
+
+def test_a_renamed_recording_stays_selected_with_its_results(viewer, panel, tmp_path, qtbot):
+    viewer.open(str(write_pair(tmp_path, 5, "other")), plugin=PLUGIN)
+    panel.recording.value = "other raw"
+    panel.align.native.click()
+    panel.average.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    edge = panel.edge
+    other = viewer.layers["other raw"]
+    for name in ("mine", "scan raw"):  # napari makes the second one unique
+        other.name = name
+        assert panel.recording.value == other.name != "other raw"
+        assert f"Alignment error</b> of {other.name}, frame" in panel.numbers.text()
+        assert panel.edge is edge
+        panel.script.native.click()
+        assert "other.tif" in QApplication.clipboard().text()
+    viewer.layers["scan raw"].name = "other raw"  # another one under the former name
+    assert panel.recording.value == other.name
+    viewer.layers.remove(other)
+    assert panel.recording.value == "other raw"

@@ -303,3 +303,12 @@ def test_mosaics_that_are_cancelled_before_their_first_frame_change_nothing(view
     cancelled.set()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel._shown is shown
+
+
+def test_a_renamed_recording_stays_selected(viewer, panel, qtbot):
+    viewer.add_image(np.ones((4, 60, 60)), name="another")
+    assert panel.form.recording.value == "scan raw"
+    viewer.layers["scan raw"].name = "mine"
+    assert panel.form.recording.value == "mine"
+    make(panel, qtbot)
+    assert f"<b>{FRAMES}</b> of {FRAMES}" in panel.form.status.text()

@@ -30,9 +30,9 @@ from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
+    LayerChoice,
     calibrated_recordings,
     chosen_image,
-    refresh_choices,
     shown_index,
 )
 from napari_elsplus.widgets.shared.panel import (
@@ -50,6 +50,7 @@ from napari_elsplus.widgets.shared.shapes import prepare_shapes
 
 if TYPE_CHECKING:
     import napari.viewer
+    from napari.layers import Layer
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.stack import Stack
 
 BOXES: Final = "quality elements"
+RECORDING: Final = "recording with a calibration"
 EDGE: Final = "edge map: residual / central level"
 """Name of its layer, displayed on the canvas: what the colour bar counts."""
 BOX_COLOUR: Final = "#f0e442"
@@ -84,8 +86,8 @@ class QualityPanel(AnalysisPanel):
         self.resolution: Resolution | None = None
         self.edge: EdgeMap | None = None
         self._boxes: Shapes | None = None
-        self._aligned = ""
-        self._measured = ""
+        self._aligned_frame = 0
+        self._measured: Layer | None = None
         self._averaging = False
         self._build()
         self.cores.changed.connect(self.measure_resolution)
@@ -97,7 +99,7 @@ class QualityPanel(AnalysisPanel):
         with notify_errors(self):
             stack, calibration, frame = self._chosen()
             self.alignment = None
-            self._aligned = f"{self.recording.value}, frame {frame}"
+            self._aligned_frame = frame
             self.alignment = measure_alignment(stack, calibration, frame)
         self.show_numbers()
 
@@ -145,7 +147,8 @@ class QualityPanel(AnalysisPanel):
         """Show the results."""
         parts = []
         if self.alignment is not None:
-            parts.append(f"<b>Alignment error</b> of {self._aligned}: {self.alignment.text}")
+            of = f"{self.recording.value}, frame {self._aligned_frame}"
+            parts.append(f"<b>Alignment error</b> of {of}: {self.alignment.text}")
             if self.alignment.after > NOT_ALIGNMENT:
                 parts.append(
                     "More than misalignment can explain: is the bundle lit from its distal end, and the laser off?"
@@ -170,7 +173,7 @@ class QualityPanel(AnalysisPanel):
         """Copy a script that makes these measurements to the clipboard."""
         with notify_errors(self):
             stack, _, frame = self._chosen()
-            source = self.viewer.layers[self.recording.value].metadata["elsplus"]["calibration_path"]
+            source = chosen_image(self.recording, RECORDING).metadata["elsplus"]["calibration_path"]
             copy_as_script(quality_script(stack, source, self.cores.value, frame, self.boxes_px))
 
     def cleanup(self) -> None:
@@ -181,8 +184,7 @@ class QualityPanel(AnalysisPanel):
         super().cleanup()
 
     def _build(self) -> None:
-        self.recording = ComboBox(label="recording", choices=lambda _: calibrated_recordings(self.viewer))
-        self.recording.tooltip = "Raw layers with a calibration"
+        self.recording = LayerChoice(self.viewer, calibrated_recordings, "recording", "Raw layers with a calibration")
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
         self.cores.tooltip = "Suppression of the core pattern (honeycomb) where the resolution is measured"
         self.align = push_button("Alignment", self.measure_alignment)
@@ -199,7 +201,7 @@ class QualityPanel(AnalysisPanel):
         layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
-        layer = chosen_image(self.viewer, self.recording, "recording with a calibration")
+        layer = chosen_image(self.recording, RECORDING)
         facts = layer.metadata["elsplus"]
         return facts["stack"], facts["calibration"], shown_index(self.viewer, layer)
 
@@ -244,7 +246,7 @@ class QualityPanel(AnalysisPanel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        refresh_choices(self.recording)
+        self.recording.refresh()
         if self.recording.value is None:
             self.alignment = None
         self._recording_changed()
@@ -269,9 +271,9 @@ class QualityPanel(AnalysisPanel):
 
     def _recording_changed(self) -> None:
         """Measure again what is displayed; an edge map, also one that is being made, is of the recording before."""
-        if self.recording.value == self._measured:
+        if self.recording.layer == self._measured:
             return
-        self._measured = self.recording.value
+        self._measured = self.recording.layer
         if self._averaging:
             self.work.cancel()
         self._move_boxes()

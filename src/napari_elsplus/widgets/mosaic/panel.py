@@ -23,7 +23,7 @@ from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
-from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
+from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
@@ -81,8 +81,9 @@ class MosaicPanel(EnginePanel):
         )
         self._timer = timer(self, TICK_MS, self.tick)
         self._timer.start()
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        layers = viewer.layers.events
+        for signal in (layers.inserted, layers.removed, layers.renamed):
+            self.connect_signal(signal, self._layers_changed)
         self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
 
@@ -361,7 +362,7 @@ class MosaicPanel(EnginePanel):
         return text
 
     def _chosen(self) -> Image:
-        return chosen_image(self.viewer, self.form.recording, "stack")
+        return chosen_image(self.form.recording, "stack")
 
     def _hide_others(self) -> None:
         ours = set(self.layers.own.present.values())
@@ -371,7 +372,7 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        refresh_choices(self.form.recording)
+        self.form.recording.refresh()
         self.refresh()
 
     def _theme_changed(self) -> None:
