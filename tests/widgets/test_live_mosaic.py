@@ -12,6 +12,7 @@ import pytest
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.io import read_track
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 
 PLUGIN = "napari-elsplus"
 HERE = Path(__file__).parents[1] / "acquisition"
@@ -96,7 +97,7 @@ def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewe
     panel.begin()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     qtbot.wait(300)
-    assert panel._source.finished
+    assert isinstance(panel._shown, StackMosaics)
     assert "of 6 frames" in panel.form.status.text()
 
 
@@ -114,3 +115,53 @@ def test_images_side_by_side_make_room_for_the_live_panels(viewer, panel, qtbot)
         timeout=30_000,
     )
     assert all(viewer.layers[name].visible for name in names)
+
+
+def test_an_unsaved_live_mosaic_is_replaced_only_if_the_user_agrees(viewer, panel, qtbot, tmp_path, questions):
+    go_live(viewer, panel, qtbot)
+    assert questions == [], "there was no mosaic yet"
+    first = panel._shown
+    panel.save(tmp_path / "early.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
+    rows = len(first.rows)
+    qtbot.waitUntil(lambda: len(first.rows) > rows + 10, timeout=30_000)
+    panel.form.going_live.native.click()
+    qtbot.waitUntil(lambda: not panel.live and panel.form.going_live.text == "Live mosaic", timeout=30_000)
+    assert questions == [], "to stop replaces nothing"
+    assert panel.unsaved(), "it has grown since it was saved"
+
+    questions.answer = False
+    qtbot.waitUntil(lambda: panel.form.going_live.enabled, timeout=30_000)
+    panel.form.going_live.native.click()
+    scene = np.random.default_rng(0).random((300, 300))
+    viewer.add_image(np.stack([scene[k:][:200, :200] for k in range(6)]), name="mine", contrast_limits=(0, 1))
+    panel.form.recording.value = "mine"
+    panel.form.start.native.click()
+    assert [question.split(" replaces")[0] for question in questions] == [
+        "The new live mosaic",
+        "The mosaic of the selected stack",
+    ]
+    assert not panel.work.busy
+    assert not panel.requests.busy
+    assert panel._shown is first
+
+    qtbot.wait(200)
+    panel.save(tmp_path / "late.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
+    assert panel.unsaved() == ""
+    panel.form.going_live.native.click()
+    qtbot.waitUntil(lambda: panel._shown is not first, timeout=30_000)
+    assert len(questions) == 2
+
+
+def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, panel, qtbot):
+    go_live(viewer, panel, qtbot)
+    first = panel._shown
+    viewer.add_image(np.full((4, 60, 60), np.nan), name="broken", contrast_limits=(0, 1))
+    panel.form.recording.value = "broken"
+    panel.begin()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    rows = len(first.rows)
+    qtbot.waitUntil(lambda: len(first.rows) > rows, timeout=30_000)
+    assert panel._shown is first
+    assert viewer.layers["broken"].visible

@@ -129,3 +129,15 @@ def test_several_simulated_scans_are_drawn_against_the_offset(panel, qtbot, monk
     panel.shown.value = "signal and depth"
     assert len(panel.plot.curves) == 5
     assert STACK in panel.source.choices
+
+
+def test_a_renamed_stack_stays_selected(viewer, panel, scan_file, qtbot):
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    viewer.layers["scan raw"].name = "mine"
+    assert panel.stack.value == panel.live.value == "mine"
+    panel.measure.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert len(panel.scans) == 1
+    panel.source.value = MANUAL
+    panel.take.native.click()
+    assert "1 of at least 3 depths" in panel.numbers.text()

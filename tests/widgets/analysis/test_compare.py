@@ -173,12 +173,51 @@ def test_taking_one_of_its_layers_away_ends_it(viewer, panel, qtbot):
     before = state(viewer)
     press(panel, qtbot)
     viewer.layers.remove("compare LS")
-    assert not panel.comparing
+    qtbot.waitUntil(lambda: not panel.comparing, timeout=LONG_MS)
     assert state(viewer) == before
     press(panel, qtbot)
     viewer.layers.remove("scan raw")
-    assert not panel.comparing
+    qtbot.waitUntil(lambda: not panel.comparing, timeout=LONG_MS)
     assert names(viewer) == []
+
+
+@pytest.mark.parametrize("what", ["selected", "all"])
+def test_taking_several_layers_away_at_once_ends_it(viewer, panel, qtbot, what):
+    press(panel, qtbot)
+    if what == "selected":
+        viewer.layers.selection = {viewer.layers[name] for name in ("compare LS", "compare ELSA", "scan residual")}
+        viewer.layers.remove_selected()
+    else:
+        viewer.layers.clear()
+    qtbot.waitUntil(lambda: not panel.comparing, timeout=LONG_MS)
+    left = ["scan raw", "scan LS", "scan ELS+", "scan ELSA"] if what == "selected" else []
+    assert [layer.name for layer in viewer.layers] == left
+    assert panel.start.enabled == bool(left)
+
+
+def test_a_renamed_recording_stays_selected(viewer, panel, qtbot):
+    viewer.layers["scan raw"].name = "mine"
+    assert panel.recording.value == "mine"
+    press(panel, qtbot)
+    assert names(viewer) == OURS
+    viewer.layers["mine"].name = "yours"
+    viewer.layers["compare LS"].name = "left"
+    panel.cores.value = "median"
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
+    assert names(viewer) == OURS
+    panel.script.native.click()
+    assert "scan.tif" in QApplication.clipboard().text()
+    press(panel, qtbot)
+    assert panel.recording.value == "yours"
+
+
+def test_the_window_closes_while_comparing(make_napari_viewer, tmp_path, qtbot):
+    viewer = make_napari_viewer()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
+    press(panel, qtbot)
+    viewer.close()
+    qtbot.wait(200)
 
 
 def test_only_recordings_with_a_calibration_are_offered(viewer, panel, tmp_path):

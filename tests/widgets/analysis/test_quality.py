@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import gc
 import weakref
+from threading import Event
 
 import numpy as np
 import pytest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.widgets.analysis.quality import EDGE
-from pairs import write_pair
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.io import write_calibration
+from napari_elsplus.widgets.analysis.quality import EDGE, measure_edge
+from pairs import CONTENT, write_pair
 
 PLUGIN = "napari-elsplus"
 
@@ -111,3 +114,68 @@ def test_the_alignment_error_follows_the_recording_and_names_it(viewer, panel, t
     assert "Alignment error</b> of scan raw, frame" in panel.numbers.text()
     viewer.layers.remove("scan raw")
     assert "Alignment error" not in panel.numbers.text()
+
+
+def test_the_boxes_lie_on_the_same_pixels_of_the_recording_that_is_chosen(viewer, panel, tmp_path, qtbot):
+    mark(panel, qtbot)
+    boxes = viewer.layers["quality elements"]
+    boxes.add_rectangles(np.array([[10, 10], [30, 30]]))
+    path = write_pair(tmp_path, name="coarse")
+    bundle = {**CONTENT["bundle"], "confocal_centre": [31.0, 33.0]}
+    coarse = {**CONTENT, "bundle": bundle, "optics": {**CONTENT["optics"], "um_per_px": 4.0}}
+    write_calibration(tmp_path / "coarse.calibration.json", Calibration.parse(coarse), force=True)
+    viewer.open(str(path), plugin=PLUGIN)
+    line_pair_um = panel.resolution.elements[0].line_pair_um
+    for name, um_per_px in (("coarse", 4.0), ("scan", 2.0)):
+        panel.recording.value = f"{name} raw"
+        images = viewer.layers[f"{name} LS"]
+        np.testing.assert_allclose(boxes.scale, [um_per_px, um_per_px])
+        np.testing.assert_allclose(boxes.translate, images.translate[1:])
+        assert panel.boxes_px == [(10, 10, 30, 30)]
+    assert panel.resolution.elements[0].line_pair_um == line_pair_um
+
+
+def test_an_edge_map_is_not_displayed_under_another_recording(viewer, panel, tmp_path, qtbot, monkeypatch):
+    viewer.open(str(write_pair(tmp_path, 5, "other")), plugin=PLUGIN)
+    computed, chosen = Event(), Event()
+
+    def late(*given):
+        edge = measure_edge(*given)
+        computed.set()
+        assert chosen.wait(20)
+        return edge
+
+    monkeypatch.setattr("napari_elsplus.widgets.analysis.quality.measure_edge", late)
+    panel.average.native.click()
+    qtbot.waitUntil(computed.is_set, timeout=20_000)
+    panel.recording.value = next(name for name in panel.recording.choices if name != panel.recording.value)
+    chosen.set()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert EDGE not in viewer.layers
+    assert panel.edge is None
+    assert not panel.plot.curves
+    assert panel.average.enabled
+    panel.average.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    assert EDGE in viewer.layers
+
+
+def test_a_renamed_recording_stays_selected_with_its_results(viewer, panel, tmp_path, qtbot):
+    viewer.open(str(write_pair(tmp_path, 5, "other")), plugin=PLUGIN)
+    panel.recording.value = "other raw"
+    panel.align.native.click()
+    panel.average.native.click()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    edge = panel.edge
+    other = viewer.layers["other raw"]
+    for name in ("mine", "scan raw"):  # napari makes the second one unique
+        other.name = name
+        assert panel.recording.value == other.name != "other raw"
+        assert f"Alignment error</b> of {other.name}, frame" in panel.numbers.text()
+        assert panel.edge is edge
+        panel.script.native.click()
+        assert "other.tif" in QApplication.clipboard().text()
+    viewer.layers["scan raw"].name = "other raw"  # another one under the former name
+    assert panel.recording.value == other.name
+    viewer.layers.remove(other)
+    assert panel.recording.value == "other raw"

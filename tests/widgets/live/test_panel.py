@@ -223,6 +223,23 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
 
 
+def test_the_rig_panel_displays_the_settings_by_which_another_panel_connected(viewer, qtbot, small_engine):
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    _, steps = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
+    rig.slit_rows.value, rig.rate_hz.value = 9, 30
+    steps.form.preset.setCurrentIndex(steps.form.preset.findData("120hz"))
+    steps.connect_rig()
+    qtbot.waitUntil(lambda: not steps.work.busy and rig.connection.client is not None, timeout=60_000)
+    qtbot.waitUntil(lambda: rig.settings == Settings("120hz"), timeout=30_000)
+    assert "slit 2.9" in rig.optics.text()
+    rig.gain_db.value = 2  # changes nothing else
+    qtbot.waitUntil(lambda: not rig.requests.busy, timeout=30_000)
+    assert rig.connection.settings == rig.settings == Settings("120hz", gain_db=2.0)
+    steps.connect_rig()
+    qtbot.waitUntil(lambda: not steps.work.busy, timeout=60_000)
+    assert rig.connection.settings is None
+
+
 def test_a_rig_that_is_not_there_is_said(viewer, qtbot, said, monkeypatch):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     panel.rig.choices = ["none"]

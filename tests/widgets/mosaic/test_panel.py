@@ -276,3 +276,39 @@ def test_a_live_mosaic_replaces_an_unsaved_one_of_a_recording_only_if_confirmed(
     panel.save(tmp_path / "m.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel.unsaved() == ""
+
+
+def test_mosaics_that_cannot_be_begun_change_nothing(viewer, panel, qtbot, tmp_path):
+    make(panel, qtbot)
+    viewer.add_image(np.full((4, 60, 60), np.nan), name="broken", contrast_limits=(0, 1))
+    panel.form.recording.value = "broken"
+    before = [(layer.name, layer.visible) for layer in viewer.layers]
+    make(panel, qtbot)
+    assert [(layer.name, layer.visible) for layer in viewer.layers] == before
+    panel.save(tmp_path / "m.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert np.count_nonzero(tifffile.imread(tmp_path / "m.ome.tif"))
+
+
+def test_mosaics_that_are_cancelled_before_their_first_frame_change_nothing(viewer, panel, qtbot, monkeypatch):
+    make(panel, qtbot)
+    shown, compiling, cancelled = panel._shown, Event(), Event()
+    monkeypatch.setattr(
+        "napari_elsplus.viewing.mosaic.recorded.StackMosaics.compile_kernels",
+        lambda _: (compiling.set(), cancelled.wait(60)),
+    )
+    panel.form.start.native.click()
+    qtbot.waitUntil(compiling.is_set, timeout=60_000)
+    panel.form.start.native.click()
+    cancelled.set()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert panel._shown is shown
+
+
+def test_a_renamed_recording_stays_selected(viewer, panel, qtbot):
+    viewer.add_image(np.ones((4, 60, 60)), name="another")
+    assert panel.form.recording.value == "scan raw"
+    viewer.layers["scan raw"].name = "mine"
+    assert panel.form.recording.value == "mine"
+    make(panel, qtbot)
+    assert f"<b>{FRAMES}</b> of {FRAMES}" in panel.form.status.text()

@@ -25,10 +25,10 @@ from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, respons
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
+    LayerChoice,
     calibrated_frames,
     calibrated_recordings,
     chosen_image,
-    refresh_choices,
     shown_index,
 )
 from napari_elsplus.widgets.shared.panel import (
@@ -75,7 +75,7 @@ class AxialResponsePanel(AnalysisPanel):
     def measure_stack(self) -> None:
         """Measure the selected axial stack in a thread."""
         with notify_errors(self):
-            facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
+            facts = chosen_image(self.stack, "axial stack").metadata["elsplus"]
             stack, calibration = facts["stack"], facts["calibration"]
             self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
 
@@ -89,7 +89,7 @@ class AxialResponsePanel(AnalysisPanel):
     def take_frame(self) -> None:
         """Add the displayed frame at the given depth, and advance the depth by a step."""
         with notify_errors(self):
-            layer = chosen_image(self.viewer, self.live, "recording with a calibration")
+            layer = chosen_image(self.live, "recording with a calibration")
             calibration = layer.metadata["elsplus"]["calibration"]
             self._manual.take(self._frame(layer), calibration, self.depth_now.value)
             self.depth_now.value += self.depth_step.value
@@ -150,19 +150,16 @@ class AxialResponsePanel(AnalysisPanel):
     def copy_script(self) -> None:
         """Copy a script that measures the selected stack to the clipboard."""
         with notify_errors(self):
-            facts = chosen_image(self.viewer, self.stack, "axial stack").metadata["elsplus"]
+            facts = chosen_image(self.stack, "axial stack").metadata["elsplus"]
             text = axial_script(facts["stack"], facts["calibration_path"])
             copy_as_script(text)
 
     def _build(self) -> None:
         self.source = ComboBox(label="scan", choices=[STACK, MANUAL, SIMULATED])
         self.source.tooltip = "Frames at known depths; live frames at manually set depths; or the simulated instrument"
-        self.stack = ComboBox(label="stack", choices=self._stacks, tooltip="Raw layers with depths and a calibration")
-        self.live = ComboBox(
-            label="frames from",
-            choices=lambda _: calibrated_frames(self.viewer),
-            tooltip="Raw layers with a calibration, live or recorded",
-        )
+        self.stack = LayerChoice(self.viewer, _axial_stacks, "stack", "Raw layers with depths and a calibration")
+        tip = "Raw layers with a calibration, live or recorded"
+        self.live = LayerChoice(self.viewer, calibrated_frames, "frames from", tip)
         self.depth_now = FloatSpinBox(label="depth (µm)", value=0, min=-10_000, max=10_000)
         self.depth_now.tooltip = "Present depth of the plate, -10 000 to 10 000 µm"
         self.depth_step = FloatSpinBox(label="step (µm)", value=5, min=-1000, max=1000)
@@ -210,11 +207,6 @@ class AxialResponsePanel(AnalysisPanel):
             return np.asarray(layer.data)
         return np.asarray(layer.data[shown_index(self.viewer, layer)])
 
-    def _stacks(self, _: Any = None) -> list[str]:
-        layers = [self.viewer.layers[name] for name in calibrated_recordings(self.viewer)]
-        stacks = {layer.name: layer.metadata["elsplus"].get("stack") for layer in layers}
-        return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]
-
     def _source_changed(self) -> None:
         for name, fields in self._fields.items():
             for field in fields:
@@ -223,7 +215,7 @@ class AxialResponsePanel(AnalysisPanel):
 
     def _layers_changed(self) -> None:
         for choice in (self.stack, self.live):
-            refresh_choices(choice)
+            choice.refresh()
         idle, stacks = not self.work.busy, bool(self.stack.choices)
         set_enabled(
             self.measure, idle and stacks, "Measure the axial response of the stack", WAIT if stacks else OPEN_SCAN
@@ -232,3 +224,9 @@ class AxialResponsePanel(AnalysisPanel):
         takes = "Add the displayed frame at this depth, and advance the depth by a step"
         set_enabled(self.take, bool(self.live.choices), takes, OPEN_RECORDING_FIRST)
         set_enabled(self.script, stacks, "Copy a Python script that measures the selected stack", OPEN_SCAN)
+
+
+def _axial_stacks(viewer: napari.viewer.Viewer) -> list[str]:
+    layers = [viewer.layers[name] for name in calibrated_recordings(viewer)]
+    stacks = {layer.name: layer.metadata["elsplus"].get("stack") for layer in layers}
+    return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]

@@ -28,9 +28,9 @@ from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, Com
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
+    LayerChoice,
     calibrated_recordings,
     chosen_image,
-    refresh_choices,
     shown_index,
 )
 from napari_elsplus.widgets.shared.files import file_to_save, note_folder
@@ -90,6 +90,7 @@ class ComparePanel(AnalysisPanel):
         self._build()
         self._refresh = timer(self, REFRESH_MS, self.show_numbers, once=True)
         self._blink = timer(self, BLINK_MS, self.display.show_next)
+        self._ending = timer(self, 0, self._end_if_incomplete, once=True)
         self.line_width.changed.connect(self.show_numbers)
         self.scaling.changed.connect(self.rescale_contrast)
         for choice in (self.cores, self.view, self.recording):
@@ -139,6 +140,7 @@ class ComparePanel(AnalysisPanel):
     def cleanup(self) -> None:
         """End the comparison and disconnect from the viewer."""
         self._refresh.stop()
+        self._ending.stop()
         if self.comparing:
             self.end()
         super().cleanup()
@@ -202,11 +204,7 @@ class ComparePanel(AnalysisPanel):
             copy_as_script(comparison_script(facts["stack"], source, self.cores.value, self.scaling.value, index))
 
     def _build(self) -> None:
-        self.recording = ComboBox(
-            label="recording",
-            choices=lambda _: calibrated_recordings(self.viewer),
-            tooltip="Raw layers with a calibration",
-        )
+        self.recording = LayerChoice(self.viewer, calibrated_recordings, "recording", "Raw layers with a calibration")
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter])
         self.cores.tooltip = "Suppression of the core pattern (honeycomb), the same in all images"
         self.scaling = ComboBox(label="scaling", choices=[kind.value for kind in Scaling])
@@ -231,7 +229,7 @@ class ComparePanel(AnalysisPanel):
         layout.addLayout(button_row(self.save_figure, self.save, self.script))
 
     def _chosen(self) -> Image:
-        return chosen_image(self.viewer, self.recording, "recording with a calibration")
+        return chosen_image(self.recording, "recording with a calibration")
 
     def _show(self, comparison: Comparison, source: Image) -> None:
         """Hide the user's layers and display the images, in place of an earlier comparison."""
@@ -284,11 +282,20 @@ class ComparePanel(AnalysisPanel):
         if self.comparing and not self._refresh.isActive():
             self._refresh.start()
 
+    @property
+    def _incomplete(self) -> bool:
+        """True if a layer of the comparison, or its recording, is no longer in the viewer."""
+        return self.comparing and not (self.display.intact and self._source in self.viewer.layers)
+
+    def _end_if_incomplete(self) -> None:
+        if self._incomplete:
+            self.end()
+
     def _layers_changed(self) -> None:
-        if self.comparing and not (self.display.intact and self._source in self.viewer.layers):
-            self.end()  # the user removed one of them
+        if self._incomplete:
+            self._ending.start()  # the user removed one of them; napari may be about to remove more
             return
-        refresh_choices(self.recording)
+        self.recording.refresh()
         available, idle = bool(self.recording.choices), not self.work.busy
         if not self.comparing:
             self.show_numbers()

@@ -36,8 +36,9 @@ class AnalysisPanel(Panel):
         self.numbers = text_label()
         self.plot = ThemedPlot(bottom, left, viewer.theme)
         self.script = push_button("Copy as script", self.copy_script)
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        layers = viewer.layers.events
+        for signal in (layers.inserted, layers.removed, layers.renamed):
+            self.connect_signal(signal, self._layers_changed)
         self.connect_signal(viewer.events.theme, self._theme_changed)
 
     def copy_script(self) -> None:

@@ -30,9 +30,9 @@ from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
+    LayerChoice,
     calibrated_recordings,
     chosen_image,
-    refresh_choices,
     shown_index,
 )
 from napari_elsplus.widgets.shared.panel import (
@@ -50,6 +50,7 @@ from napari_elsplus.widgets.shared.shapes import prepare_shapes
 
 if TYPE_CHECKING:
     import napari.viewer
+    from napari.layers import Layer
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentErrors
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.stack import Stack
 
 BOXES: Final = "quality elements"
+RECORDING: Final = "recording with a calibration"
 EDGE: Final = "edge map: residual / central level"
 """Name of its layer, displayed on the canvas: what the colour bar counts."""
 BOX_COLOUR: Final = "#f0e442"
@@ -84,8 +86,9 @@ class QualityPanel(AnalysisPanel):
         self.resolution: Resolution | None = None
         self.edge: EdgeMap | None = None
         self._boxes: Shapes | None = None
-        self._aligned = ""
-        self._measured = ""
+        self._aligned_frame = 0
+        self._measured: Layer | None = None
+        self._averaging = False
         self._build()
         self.cores.changed.connect(self.measure_resolution)
         self.recording.changed.connect(self._recording_changed)
@@ -96,7 +99,7 @@ class QualityPanel(AnalysisPanel):
         with notify_errors(self):
             stack, calibration, frame = self._chosen()
             self.alignment = None
-            self._aligned = f"{self.recording.value}, frame {frame}"
+            self._aligned_frame = frame
             self.alignment = measure_alignment(stack, calibration, frame)
         self.show_numbers()
 
@@ -104,8 +107,8 @@ class QualityPanel(AnalysisPanel):
         """Add a layer for boxes around the elements of a USAF target; each is measured when it is drawn."""
         with notify_errors(self):
             stack, calibration, _ = self._chosen()
-            place = space(_scale(stack, calibration), images_origin_px(calibration))
-            self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes(place))
+            _scale(stack, calibration)  # refused here, not after the first box
+            self.work.begin(0, prepare_shapes, lambda _: self._draw_boxes())
         self._layers_changed()
 
     def measure_resolution(self) -> None:
@@ -120,10 +123,11 @@ class QualityPanel(AnalysisPanel):
         self.show_numbers()
 
     def measure_edge(self) -> None:
-        """Average the residual images of the recording in a thread."""
+        """Average the residual images of the recording in a thread; ended if another recording is selected."""
         with notify_errors(self):
             stack, calibration, _ = self._chosen()
-            place = space(um_per_px_of(stack, calibration), images_origin_px(calibration))
+            place = self._place()
+            self._averaging = True
             self.work.begin(
                 len(stack.planes),
                 lambda: measure_edge(stack, calibration, self.work.progress),
@@ -143,7 +147,8 @@ class QualityPanel(AnalysisPanel):
         """Show the results."""
         parts = []
         if self.alignment is not None:
-            parts.append(f"<b>Alignment error</b> of {self._aligned}: {self.alignment.text}")
+            of = f"{self.recording.value}, frame {self._aligned_frame}"
+            parts.append(f"<b>Alignment error</b> of {of}: {self.alignment.text}")
             if self.alignment.after > NOT_ALIGNMENT:
                 parts.append(
                     "More than misalignment can explain: is the bundle lit from its distal end, and the laser off?"
@@ -168,7 +173,7 @@ class QualityPanel(AnalysisPanel):
         """Copy a script that makes these measurements to the clipboard."""
         with notify_errors(self):
             stack, _, frame = self._chosen()
-            source = self.viewer.layers[self.recording.value].metadata["elsplus"]["calibration_path"]
+            source = chosen_image(self.recording, RECORDING).metadata["elsplus"]["calibration_path"]
             copy_as_script(quality_script(stack, source, self.cores.value, frame, self.boxes_px))
 
     def cleanup(self) -> None:
@@ -179,8 +184,7 @@ class QualityPanel(AnalysisPanel):
         super().cleanup()
 
     def _build(self) -> None:
-        self.recording = ComboBox(label="recording", choices=lambda _: calibrated_recordings(self.viewer))
-        self.recording.tooltip = "Raw layers with a calibration"
+        self.recording = LayerChoice(self.viewer, calibrated_recordings, "recording", "Raw layers with a calibration")
         self.cores = ComboBox(label="core filter", choices=[kind.value for kind in CoreFilter], value="median")
         self.cores.tooltip = "Suppression of the core pattern (honeycomb) where the resolution is measured"
         self.align = push_button("Alignment", self.measure_alignment)
@@ -197,20 +201,34 @@ class QualityPanel(AnalysisPanel):
         layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
-        layer = chosen_image(self.viewer, self.recording, "recording with a calibration")
+        layer = chosen_image(self.recording, RECORDING)
         facts = layer.metadata["elsplus"]
         return facts["stack"], facts["calibration"], shown_index(self.viewer, layer)
 
-    def _draw_boxes(self, place: dict[str, Any]) -> None:
-        if self._boxes is None:
-            self._boxes = Shapes(
-                name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
-            )
-            self._boxes.events.data.connect(self.measure_resolution)
-            self.viewer.layers.append(self._boxes)
-        self.viewer.layers.selection.active = self._boxes
-        self._boxes.mode = "add_rectangle"
+    def _place(self) -> dict[str, Any]:
+        """Return scale, translation and units of the selected recording's images, as layer attributes."""
+        stack, calibration, _ = self._chosen()
+        return space(um_per_px_of(stack, calibration), images_origin_px(calibration))
+
+    def _draw_boxes(self) -> None:
+        with notify_errors(self):
+            place = self._place()
+            if self._boxes is None:
+                self._boxes = Shapes(
+                    name=BOXES, ndim=2, face_color="transparent", edge_color=BOX_COLOUR, edge_width=1, **place
+                )
+                self._boxes.events.data.connect(self.measure_resolution)
+                self.viewer.layers.append(self._boxes)
+            self.viewer.layers.selection.active = self._boxes
+            self._boxes.mode = "add_rectangle"
         self.show_numbers()
+
+    def _move_boxes(self) -> None:
+        """Place the boxes on the same pixels of the selected recording's images."""
+        if self._boxes is not None and self.recording.value is not None:
+            with notify_errors(self):
+                for name, value in self._place().items():
+                    setattr(self._boxes, name, value)
 
     def _edge_measured(self, edge: EdgeMap, place: dict[str, Any]) -> None:
         self.edge = edge
@@ -228,7 +246,7 @@ class QualityPanel(AnalysisPanel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        refresh_choices(self.recording)
+        self.recording.refresh()
         if self.recording.value is None:
             self.alignment = None
         self._recording_changed()
@@ -247,11 +265,18 @@ class QualityPanel(AnalysisPanel):
         set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
         self.show_numbers()
 
+    def _work_ended(self) -> None:
+        self._averaging = False
+        super()._work_ended()
+
     def _recording_changed(self) -> None:
-        """Measure again what is displayed; the edge map is of the recording before."""
-        if self.recording.value == self._measured:
+        """Measure again what is displayed; an edge map, also one that is being made, is of the recording before."""
+        if self.recording.layer == self._measured:
             return
-        self._measured = self.recording.value
+        self._measured = self.recording.layer
+        if self._averaging:
+            self.work.cancel()
+        self._move_boxes()
         if self.edge is not None:
             self.edge = None
             self.plot.draw([])

@@ -75,7 +75,7 @@ class RigPanel(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         self._disconnecting = False
-        self._accepted: Settings | None = None
+        self._shown: Settings | None = None
         self._build()
         self._timer = timer(self, STATUS_MS, self.refresh)
         self._timer.start()
@@ -95,22 +95,18 @@ class RigPanel(EnginePanel):
             return
         rig, settings = self.rig.value, self.settings
         self._remember()
-        self.requests.run(
-            lambda: self.connection.connect(rig, settings), lambda client: self._connected(client, settings)
-        )
+        self.requests.run(lambda: self.connection.connect(rig, settings), self.activate_calibration)
 
     def apply(self) -> None:
         """Apply the form's settings to the rig; a running stream restarts with a matching ramp.
 
         Settings that the rig refuses leave the form, which displays those that hold.
         """
-        client, settings = self.connection.client, self.settings
-        if client is None:
+        if self.connection.client is None:
             self._remember()
         else:
-            self.requests.follow(
-                client.configure(settings), lambda _: self._accept(settings), failed=self._show_accepted
-            )
+            configured = self.connection.configure(self.settings)
+            self.requests.follow(configured, lambda _: self._remember(), failed=self._show_accepted)
         self.refresh()
 
     def park(self) -> None:
@@ -153,7 +149,9 @@ class RigPanel(EnginePanel):
         self.requests.follow(self.connection.apply(None), lambda _: set_active_calibration(None))
 
     def refresh(self) -> None:
-        """Update status text and buttons."""
+        """Update status text, buttons, and settings that another panel has applied."""
+        if not self.requests.busy and self.connection.settings is not self._shown:
+            self._show_accepted()
         client, busy = self.connection.client, self.requests.busy
         connected = client is not None
         simulated = is_simulated(self.connection.rig)
@@ -249,17 +247,9 @@ class RigPanel(EnginePanel):
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 
-    def _connected(self, client: EngineClient, settings: Settings) -> None:
-        self._accepted = settings
-        self.activate_calibration(client)
-
-    def _accept(self, settings: Settings) -> None:
-        self._accepted = settings
-        self._remember()
-
     def _show_accepted(self) -> None:
-        """Display the settings that the rig accepted last, where they are known."""
-        accepted = self._accepted
+        """Display the connected rig and the settings that it accepted last; without a rig the form remains."""
+        accepted = self._shown = self.connection.settings
         if accepted is None:
             return
         values = (
@@ -267,8 +257,11 @@ class RigPanel(EnginePanel):
             (self.rate_hz, accepted.frame_rate_hz or 0), (self.gain_db, accepted.gain_db),
         )  # fmt: skip
         for field, value in values:
-            with field.changed.blocked():
-                field.value = value
+            if field.value != value:  # what is being typed remains
+                with field.changed.blocked():
+                    field.value = value
+        if self.connection.rig in self.rig.choices:
+            self.rig.value = self.connection.rig
 
     def _remember(self) -> None:
         settings = self.settings

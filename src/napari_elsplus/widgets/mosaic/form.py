@@ -14,6 +14,7 @@ from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
+from napari_elsplus.widgets.shared.choosing import LayerChoice
 from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout, text_label
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
@@ -50,11 +51,8 @@ class MosaicForm:
     def __init__(self, panel: QWidget, work: QWidget, viewer: napari.viewer.Viewer) -> None:
         last = recall(SECTION)
         modes = last.get("modes", [Mode.ELS.value])
-        self.recording = ComboBox(
-            label="stack",
-            choices=lambda _: source_names(viewer),
-            tooltip="A raw recording, or any stack of images of a moving probe",
-        )
+        tip = "A raw recording, or any stack of images of a moving probe"
+        self.recording = LayerChoice(viewer, source_names, "stack", tip)
         self.calibration = FileEdit(
             label="calibration", mode=FileDialogMode.EXISTING_FILE, filter="*.json", nullable=True,
             tooltip="A calibration file; empty: the recording's own",

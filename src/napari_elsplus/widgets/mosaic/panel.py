@@ -23,7 +23,7 @@ from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.shared.calibration_state import lag_advice
-from napari_elsplus.widgets.shared.choosing import chosen_image, refresh_choices
+from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
@@ -61,10 +61,9 @@ class MosaicPanel(EnginePanel):
         super().__init__(viewer)
         self.layers = MosaicLayers(viewer, LayerListModels(self).signals_blocked)
         self.work = Work(self._ended)
-        self._stack: StackMosaics | None = None
+        self._arrived: tuple[StackMosaics, MosaicSource] | None = None
         self._shown: StackMosaics | LiveMosaicView | None = None
         self._saved: StackMosaics | LiveMosaicView | None = None
-        self._source: MosaicSource | None = None
         self._hidden: list[Any] = []
         self._ticks = 0
         self._stale = False
@@ -82,8 +81,9 @@ class MosaicPanel(EnginePanel):
         )
         self._timer = timer(self, TICK_MS, self.tick)
         self._timer.start()
-        self.connect_signal(viewer.layers.events.inserted, self._layers_changed)
-        self.connect_signal(viewer.layers.events.removed, self._layers_changed)
+        layers = viewer.layers.events
+        for signal in (layers.inserted, layers.removed, layers.renamed):
+            self.connect_signal(signal, self._layers_changed)
         self.connect_signal(viewer.events.theme, self._theme_changed)
         self._layers_changed()
 
@@ -96,7 +96,10 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def begin(self) -> None:
-        """Make mosaics of the selected stack in a thread."""
+        """Make mosaics of the selected stack in a thread; what is displayed remains until the first frame is inserted.
+
+        An unsaved live mosaic is replaced only if the user agrees, since it cannot be made again.
+        """
         with notify_errors(self):
             plan, chosen = self.form.plan, self._chosen()
             note_folder(chosen.metadata.get("elsplus", {}).get("path"))
@@ -105,6 +108,8 @@ class MosaicPanel(EnginePanel):
             path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
             source = source_of(chosen, None if path is None else read_calibration(path), path)
             plan = source.plan(plan)
+            if isinstance(self._shown, LiveMosaicView) and not self._may_replace("The mosaic of the selected stack"):
+                return
             self.form.remember()
 
             def made() -> StackMosaics:
@@ -117,15 +122,11 @@ class MosaicPanel(EnginePanel):
                     finished=source.finished,
                 )
                 mosaics.compile_kernels()
-                self._stack = mosaics  # displayed from now on
+                self.work.stop_if_cancelled()
+                self._arrived = mosaics, source  # displayed from now on
                 mosaics.run(self.work.progress, self.work.stop_if_cancelled)
                 return mosaics
 
-            self._leave_live()
-            self._following_live = False
-            self._stack, self._source = None, source
-            self._hide_others()
-            self._shown = None
             self.work.begin(source.steps(plan), made, self._made)
 
     @property
@@ -138,31 +139,31 @@ class MosaicPanel(EnginePanel):
     def toggle_live(self) -> None:
         """Insert the live stream into a mosaic, connecting and starting first if needed; or stop."""
         client = self.connection.client
-        replaced = isinstance(self._shown, StackMosaics) and not self.live and self.unsaved()
-        if replaced and not closing.confirm(self, f"The live mosaic replaces that of the recording. {replaced}"):
-            return
-        self._following_live = True
         if client is not None and client.status.progress is not None:
             self.requests.follow(client.cancel())
         elif client is not None and self.live:
             self.requests.follow(client.track(None))
-        elif client is not None:
-            self._start_live(client)
-        else:
-            rig, settings = remembered_rig(), remembered_settings()
-            self.requests.run(lambda: self.connection.connect(rig, settings), self._start_live)
+        elif self._may_replace("The new live mosaic"):
+            self._following_live = True
+            client = self.connection.client  # it may have ended while the question was displayed
+            if client is not None:
+                self._start_live(client)
+            else:
+                rig, settings = remembered_rig(), remembered_settings()
+                self.requests.run(lambda: self.connection.connect(rig, settings), self._start_live)
         self.refresh()
 
     def tick(self) -> None:
         """Display what is new."""
         self._ticks += 1
         self._follow_live()
-        if self._stack is not None and self._stack is not self._shown:
-            self._shown = self._stack
-            assert self._source is not None
-            self.layers.show(self._shown, self._shown.plan.tracked, self._source.titles)
+        self._show_arrived()
         shown = self._shown
-        self._stale |= shown.update() if isinstance(shown, LiveMosaicView) else self.work.busy
+        if isinstance(shown, LiveMosaicView):
+            if shown.update():
+                self._stale, self._saved = True, None  # what was saved is not all of it any more
+        else:
+            self._stale |= self.work.busy
         self._stale |= self.layers.behind
         whole = self._ticks % WHOLE_TICKS == 0
         if shown is not None and self._stale:
@@ -185,7 +186,7 @@ class MosaicPanel(EnginePanel):
             self._cleared_board = client.status.track.board
             self.requests.follow(client.clear_mosaic())
         self._leave_live()
-        self._stack = self._shown = None
+        self._arrived = self._shown = None
         self.layers.remove()
         for layer in self._hidden:
             if layer in self.viewer.layers:
@@ -295,8 +296,24 @@ class MosaicPanel(EnginePanel):
         except FileNotFoundError:  # replaced in the meantime; the next status names the new one
             return
         self._leave_live()
-        self._stack, self._shown = None, live
+        self._shown = live
         self.layers.show(live, live.plan.tracked)
+
+    def _show_arrived(self) -> None:
+        """Display the mosaics of a stack whose frames are being inserted, in place of what was displayed."""
+        if self._arrived is None:
+            return
+        (mosaics, source), self._arrived = self._arrived, None
+        self._leave_live()
+        self._following_live = False
+        self._hide_others()
+        self._shown = mosaics
+        self.layers.show(mosaics, mosaics.plan.tracked, source.titles)
+
+    def _may_replace(self, by: str) -> bool:
+        """Return True if the displayed mosaic was saved, or the user agrees to discard it."""
+        question = self.unsaved()
+        return not question or closing.confirm(self, f"{by} replaces the one displayed. {question}")
 
     def _leave_live(self) -> None:
         if isinstance(self._shown, LiveMosaicView):
@@ -311,7 +328,7 @@ class MosaicPanel(EnginePanel):
             show_warning(note)
 
     def _ended(self) -> None:
-        if self._shown is not None or self._stack is not None:
+        if self._shown is not None or self._arrived is not None:
             self.tick()
             self.layers.update(whole=True)
         self.refresh()
@@ -345,7 +362,7 @@ class MosaicPanel(EnginePanel):
         return text
 
     def _chosen(self) -> Image:
-        return chosen_image(self.viewer, self.form.recording, "stack")
+        return chosen_image(self.form.recording, "stack")
 
     def _hide_others(self) -> None:
         ours = set(self.layers.own.present.values())
@@ -355,7 +372,7 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        refresh_choices(self.form.recording)
+        self.form.recording.refresh()
         self.refresh()
 
     def _theme_changed(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from magicgui.widgets import ComboBox
 from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.live_images import RAW
@@ -19,12 +20,58 @@ OPEN_RECORDING_FIRST: Final = (
 """Remedy in the tooltip of a button where no layer can be chosen."""
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import napari.viewer
-    from magicgui.widgets import ComboBox
     from napari.layers import Layer
     from numpy.typing import NDArray
 
     from napari_elsplus.viewing.stack import Stack
+
+
+class LayerChoice(ComboBox):
+    """Choice of a layer by its name, which follows the layer when it is renamed.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer that has the layers.
+    offered : callable
+        Returns the names of the viewer's layers that can be chosen.
+    label, tooltip : str
+        Beside the choice, and over it.
+    """
+
+    def __init__(
+        self,
+        viewer: napari.viewer.Viewer,
+        offered: Callable[[napari.viewer.Viewer], list[str]],
+        label: str,
+        tooltip: str,
+    ) -> None:
+        self._viewer = viewer
+        super().__init__(label=label, choices=lambda _: offered(viewer), tooltip=tooltip)
+        self._note_layer()
+        self.changed.connect(self._note_layer)
+
+    @property
+    def layer(self) -> Layer | None:
+        """The chosen layer."""
+        return self._layer
+
+    def refresh(self) -> None:
+        """Update the entries without a changed signal; a layer that is still offered stays chosen, by whatever name."""
+        with self.changed.blocked():
+            self.reset_choices()
+            layer = self._layer
+            if layer is not None and layer in self._viewer.layers and layer.name in self.choices:
+                self.value = layer.name
+            else:
+                self._note_layer()
+
+    def _note_layer(self) -> None:
+        chosen = (layer for layer in self._viewer.layers if layer.name == self.value)
+        self._layer: Layer | None = next(chosen, None)
 
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
@@ -54,24 +101,13 @@ def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:
     return int(np.clip(round(steps), 0, layer.data.shape[0] - 1))
 
 
-def refresh_choices(choice: ComboBox) -> None:
-    """Update the entries of a choice without a changed signal; a value that is still offered stays selected."""
-    chosen = choice.value
-    with choice.changed.blocked():
-        choice.reset_choices()
-        if chosen in choice.choices:
-            choice.value = chosen
-
-
-def chosen_image(viewer: napari.viewer.Viewer, choice: ComboBox, what: str) -> Image:
+def chosen_image(choice: LayerChoice, what: str) -> Image:
     """Return the selected layer.
 
     Parameters
     ----------
-    viewer : napari.Viewer
-        The viewer that has the layer.
-    choice : magicgui.widgets.ComboBox
-        Holds the layer's name.
+    choice : LayerChoice
+        In which it is selected.
     what : str
         What the layer is, for the message.
 
@@ -80,9 +116,9 @@ def chosen_image(viewer: napari.viewer.Viewer, choice: ComboBox, what: str) -> I
     InputError
         If nothing is selected.
     """
-    if choice.value is None:
+    layer = choice.layer
+    if layer is None:
         raise InputError(f"no {what} is open", "open one, or File > Open Sample > ELS+ endomicroscopy")
-    layer = viewer.layers[choice.value]
     assert isinstance(layer, Image)
     return layer
 

@@ -44,6 +44,7 @@ class Connection:
         self._lock = Lock()
         self._applied: tuple[Calibration | None, Path | None] = (None, None)
         self._received: Calibration | None = None
+        self._settings: Settings | None = None
         self.rig: str | None = None
         """Name of the connected rig."""
 
@@ -102,6 +103,39 @@ class Connection:
             applied.set_result(None)
         return applied
 
+    @property
+    def settings(self) -> Settings | None:
+        """Settings that the connected rig accepted last, from whichever panel; None unless a rig is connected."""
+        return None if self.client is None else self._settings
+
+    def configure(self, settings: Settings) -> Future[None]:
+        """Configure the connected rig; a running stream restarts.
+
+        Parameters
+        ----------
+        settings : Settings
+            Preset, slit width, frame rate and gain.
+
+        Returns
+        -------
+        Future
+            Raises the engine's error where the rig refuses the settings.
+
+        Raises
+        ------
+        DeviceError
+            If no rig is connected.
+        """
+
+        def keep(done: Future[None]) -> None:
+            if done.exception() is None and client is self._client:
+                self._settings = settings
+
+        client = self.require()
+        configured = client.configure(settings)
+        configured.add_done_callback(keep)
+        return configured
+
     def require(self) -> EngineClient:
         """Return the client of the engine.
 
@@ -147,6 +181,7 @@ class Connection:
             except BaseException:
                 client.close()
                 raise
+            self._settings = settings
             self._client, self.rig = client, rig
         return client
 
