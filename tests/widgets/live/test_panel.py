@@ -240,6 +240,23 @@ def test_the_rig_panel_displays_the_settings_by_which_another_panel_connected(vi
     assert rig.connection.settings is None
 
 
+def test_the_calibration_panel_displays_the_rig_that_another_panel_connected(viewer, qtbot, small_engine):
+    """Before: it offered to connect, which disconnected, and its scripts named another preset."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    _, steps = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
+    rig.preset.value = "120hz"
+    rig.toggle()
+    qtbot.waitUntil(lambda: not rig.requests.busy and rig.connection.client is not None, timeout=60_000)
+    qtbot.waitUntil(lambda: steps.form.connect_button.text() == "Disconnect", timeout=30_000)
+    assert steps.form.live_source("offset", "small").preset == "120hz"
+    assert steps.form.rig.currentText() == rig.rig.value
+    rig.preset.value = "240hz"
+    qtbot.waitUntil(lambda: steps.form.preset.currentData() == "240hz", timeout=30_000)
+    rig.toggle()
+    qtbot.waitUntil(lambda: steps.form.connect_button.text() == "Connect", timeout=30_000)
+    assert steps.form.preset.currentData() == "240hz"
+
+
 def test_a_rig_that_is_not_there_is_said(viewer, qtbot, said, monkeypatch):
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     panel.rig.choices = ["none"]

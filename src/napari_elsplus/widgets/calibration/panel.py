@@ -76,7 +76,7 @@ class CalibrationPanel(Panel):
         self._left = False
         self._saved: Calibration | None = None
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
-        self._stale: dict[str, str] = {}
+        self._known: tuple[Settings | None, dict[str, str]] = (None, {})
         self._changed = False
         self.connection = join()
         self.sharing = Sharing(self.connection)
@@ -343,10 +343,11 @@ class CalibrationPanel(Panel):
         progress = None if client is None else client.status.progress
         if self.work.busy and progress is not None:
             self.work.show_step(progress.step, progress.done, progress.total)
-        stale = {} if client is None else dict(client.status.stale)
-        if client is not None and stale != self._stale and not self.work.busy:
-            self._stale = stale
-            client.setup().add_done_callback(self._setup_changed)
+        known = self.connection.settings, {} if client is None else dict(client.status.stale)
+        if known != self._known and not self.work.busy:
+            self._known, self._setup, self._changed = known, None, True
+            if client is not None:
+                client.setup().add_done_callback(self._setup_changed)
         if self._changed:
             self._changed = False
             self._refresh()
@@ -367,7 +368,9 @@ class CalibrationPanel(Panel):
         form, busy, step, draft = self.form, self.work.busy, self.step, self.draft
         if not busy:
             self._following = None
-        connected = self.connection.client is not None
+        connected, settings = self.connection.client is not None, self.connection.settings
+        if settings is not None:
+            form.restore(self.connection.rig or "", settings.preset)
         form.show_optics(draft.bundle_um, draft.calibration.optics)
         form.show_states({step.key: step.state(draft, self._setup) for step in calibration_steps()}, self.key)
         simulated = connected and is_simulated(self.connection.rig)
