@@ -23,6 +23,7 @@ from napari_elsplus.io.disk import write_at
 from napari_elsplus.io.formats import ome_xml as ome
 from napari_elsplus.io.formats.registry import ImageMetadata
 from napari_elsplus.io.formats.tiff_pages import PageLayout
+from napari_elsplus.io.frame_times import median_period_s
 
 if TYPE_CHECKING:
     import io
@@ -177,19 +178,18 @@ class RecordingWriter(ClosedOnExit):
             self._remove()
             return
         try:
-            ome.put_into_first_page(
-                self.path, (len(self), *self.frame_shape), self.dtype, self._metadata(), times_s=self._times_s
-            )
+            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, self._metadata())
             self._flush()
         except OSError:
             self._cut_to_whole_pages()
             raise
 
     def _metadata(self) -> ImageMetadata:
-        times = np.array(self._times_s)
-        period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         return ImageMetadata(
-            frame_period_s=period if period > 0 else None, settings=self._settings, calibration=self._calibration
+            frame_period_s=median_period_s(self._times_s),
+            times_s=tuple(self._times_s),
+            settings=self._settings,
+            calibration=self._calibration,
         )
 
     def _close_file(self) -> None:
