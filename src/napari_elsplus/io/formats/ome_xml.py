@@ -27,23 +27,24 @@ TO_S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min"
 """Micrometres and seconds in the units of OME-XML."""
 
 
-def tifffile_metadata(metadata: ImageMetadata, axes: str = "TYX") -> dict[str, Any]:
+def tifffile_metadata(metadata: ImageMetadata, *, single: bool = False) -> dict[str, Any]:
     """Return the metadata of a stack, or of a single image, under the keys of tifffile's OME metadata.
 
     Parameters
     ----------
     metadata : ImageMetadata
         Calibration and settings are kept as annotations.
-    axes : str
-        ``"TYX"``, ``"ZYX"``, or ``"YX"`` for a single image, which has neither a frame interval nor times.
+    single : bool
+        True for a single image; like a scan of depths it has neither a frame interval nor times.
     """
+    axes = "YX" if single else "ZYX" if metadata.depth_scan else "TYX"
     fields: dict[str, Any] = {"Description": SOFTWARE, "axes": axes}
     if metadata.um_per_px is not None:
         fields |= {"PhysicalSizeX": metadata.um_per_px, "PhysicalSizeY": metadata.um_per_px}
         fields |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
-    if metadata.frame_period_s is not None and axes != "YX":
+    if metadata.frame_period_s is not None and axes == "TYX":
         fields |= {"TimeIncrement": metadata.frame_period_s, "TimeIncrementUnit": "s"}
-    if metadata.times_s is not None and axes != "YX":
+    if metadata.times_s is not None and axes == "TYX":
         fields["Plane"] = {"DeltaT": list(metadata.times_s), "DeltaTUnit": ["s"] * len(metadata.times_s)}
     notes = []
     if metadata.calibration is not None:
@@ -60,7 +61,6 @@ def put_into_first_page(
     shape: tuple[int, int, int],
     dtype: np.dtype[Any],
     metadata: ImageMetadata,
-    axes: str = "TYX",
 ) -> None:
     """Write the OME-XML of a finished TIFF of one page per frame over the first page's description.
 
@@ -72,14 +72,14 @@ def put_into_first_page(
         (T, rows, cols).
     dtype : numpy.dtype
         Of the frames.
-    metadata, axes
+    metadata
         As :func:`tifffile_metadata`.
     """
     import tifffile
 
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
-    fields = tifffile_metadata(metadata, axes)
+    fields = tifffile_metadata(metadata)
     xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), **fields)
     with tifffile.TiffFile(path, mode="r+") as file:
         file.pages.first.tags["ImageDescription"].overwrite(xml.tostring(declaration=True).encode(), erase=False)

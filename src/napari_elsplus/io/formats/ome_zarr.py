@@ -278,11 +278,11 @@ def _new_array(
     group: Any, path: str | os.PathLike[str], shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata
 ) -> Any:
     """Return the new array of a stack of images, a chunk each, in a group that has its axes and scale."""
-    size, period_s = metadata.um_per_px or 1.0, metadata.frame_period_s
-    time = _axis("t", "time", "second" if period_s else None)
+    size, period_s = metadata.um_per_px or 1.0, None if metadata.depth_scan else metadata.frame_period_s
+    first = _axis("z", "space", None) if metadata.depth_scan else _axis("t", "time", "second" if period_s else None)
     scaled = {"type": "scale", "scale": [period_s or 1.0, size, size]}
     datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
-    _describe(group, path, [time, *_space(metadata.um_per_px)], datasets)
+    _describe(group, path, [first, *_space(metadata.um_per_px)], datasets)
     return group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
 
 
