@@ -204,6 +204,20 @@ def test_the_rate_at_which_a_video_is_played_back_is_not_that_of_its_images(
         assert back.metadata.get("frame_period_s") == (pytest.approx(0.01) if timed else None)
 
 
+@pytest.mark.filterwarnings("always:.*saved with")
+def test_a_calibration_without_its_file_of_arrays_is_a_warning_of_one_line(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    raw, calibration = files
+    known = read_calibration(calibration).model_copy(update={"background": np.zeros(SHAPE, np.float32)})
+    write_calibration(calibration, known, force=True)
+    calibration.with_suffix(".npz").unlink()
+    run = elsplus("process", raw, "-c", calibration, "-o", tmp_path / "out.tif")
+    assert (run.code, run.err.count("\n")) == (0, 1)
+    assert run.err.startswith("napari-elsplus: warning: cal.json was saved with background, which cal.npz")
+    assert "UserWarning" not in run.err
+
+
 @pytest.mark.parametrize("command", ["process", "compare", "mosaic", "axial"])
 def test_what_is_read_is_not_overwritten_even_if_forced(
     elsplus: Cli, files: tuple[Path, Path], tmp_path: Path, command: str
