@@ -11,7 +11,8 @@ from napari.layers import Image
 
 from napari_elsplus._writer import write_image
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording, write_calibration
+from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_images
+from napari_elsplus.viewing.common_axes import ADOPTED
 from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
@@ -83,6 +84,30 @@ def test_pixels_are_not_taken_for_micrometres(tmp_path):
     with open_recording(tmp_path / "a.tif") as back:
         assert "um_per_px" not in back.metadata
         assert "frame_period_s" not in back.metadata
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+@pytest.mark.parametrize("period_s", [None, 0.5])
+def test_axes_of_other_layers_are_not_saved_as_measured(make_napari_viewer_proxy, tmp_path, ending, period_s):
+    """From the file they are adopted once more, or in pixels; what the file itself has stays measured."""
+    viewer = make_napari_viewer_proxy()
+    (tmp_path / "bare").mkdir()
+    bare, copy = tmp_path / "bare" / f"bare{ending}", tmp_path / "bare" / f"copy{ending}"
+    write_images(bare, frames().astype(np.float32), ImageMetadata(frame_period_s=period_s))
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    for path in (bare, copy):
+        viewer.open(str(path), plugin=PLUGIN)
+        layer = viewer.layers[-1]
+        np.testing.assert_allclose(layer.scale, [period_s or FRAME_PERIOD_S, 2.0, 2.0])
+        assert layer.metadata["elsplus"][ADOPTED] == (period_s is None, True, True)
+        if path == bare:
+            layer.save(str(copy), plugin=PLUGIN)
+    with open_recording(copy) as back:
+        assert "um_per_px" not in back.metadata
+        assert back.metadata.get("frame_period_s") == period_s
+    viewer.layers.clear()
+    viewer.open(str(copy), plugin=PLUGIN)
+    assert [str(unit) for unit in viewer.layers[-1].units] == ["second" if period_s else "pixel", "pixel", "pixel"]
 
 
 def test_planes_are_computed_one_at_a_time(tmp_path):

@@ -9,6 +9,7 @@ import pint
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
+from napari_elsplus.viewing.common_axes import adopted_axes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -85,11 +86,12 @@ class _Planes:
 
 
 def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, float | None]:
-    """Return seconds per plane and micrometres per pixel, None where the layer's units are others."""
+    """Return seconds per plane and micrometres per pixel; None where units are others, or the axis another layer's."""
     scale: Sequence[float] = attributes.get("scale", (1.0,) * ndim)
     units: Sequence[Any] = attributes.get("units") or ("pixel",) * ndim
-    step_s = _in(units[0], "second", scale[0]) if ndim == 3 else None
-    return step_s, _in(units[-1], "micrometer", scale[-1])
+    adopted = adopted_axes(attributes.get("metadata"), ndim)
+    step_s = _in(units[0], "second", scale[0]) if ndim == 3 and not adopted[0] else None
+    return step_s, None if adopted[-1] else _in(units[-1], "micrometer", scale[-1])
 
 
 def _in(unit: Any, target: str, value: float) -> float | None:

@@ -87,9 +87,38 @@ def test_several_files_of_one_result_are_refused_together(tmp_path):
     assert names(tmp_path) == ["a", "b"]
 
 
-def test_a_folder_replaces_a_folder(tmp_path):
+def test_a_folder_replaces_a_file_or_a_folder(tmp_path):
+    (tmp_path / "image.zarr").write_text("no folder")
     for text in ("old", "new"):
         with replacing(tmp_path / "image.zarr", force=True) as beside:
             beside.mkdir()
             (beside / text).write_text(text)
     assert names(tmp_path / "image.zarr") == ["new"]
+
+
+@pytest.mark.parametrize("existing", [True, False])
+@pytest.mark.parametrize("name", ["a.zarr", "a.ome.tif"])
+def test_a_link_is_replaced_and_what_it_names_stays(tmp_path, name, existing):
+    """Under its own name, an earlier result is no output of this one; its folder may lie on another disk."""
+    link, place = tmp_path / f"newest-{name}", tmp_path / "earlier" / name
+    place.parent.mkdir()
+    folder = name.endswith(".zarr")
+    if existing:
+        (place.mkdir if folder else place.touch)()
+    try:
+        link.symlink_to(place, target_is_directory=folder)
+    except OSError:
+        pytest.skip("no symbolic links here")
+    with pytest.raises(InputError, match="exists"), replacing(link):
+        raise AssertionError("work was done")
+    with replacing(link, force=True) as beside:
+        if folder:
+            beside.mkdir()
+            (beside / "zarr.json").write_text("new")
+        else:
+            beside.write_text("new")
+    assert names(tmp_path) == ["earlier", link.name]
+    assert not link.is_symlink()
+    assert (link / "zarr.json" if folder else link).read_text() == "new"
+    assert names(place.parent) == ([name] if existing else [])
+    assert not existing or (names(place) == [] if folder else place.read_text() == "")

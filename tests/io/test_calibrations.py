@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import open_recording, read_calibration, write_calibration
+from napari_elsplus.io import ImageMetadata, open_recording, read_calibration, write_calibration, write_stack
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -47,7 +47,8 @@ def test_everything_comes_back_and_unknown_keys_survive(tmp_path):
     write_calibration(tmp_path / "c.json", calibration)
     again = read_calibration(tmp_path / "c.json")
     assert again.content() == calibration.content() == content
-    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == content
+    listed = {"arrays": ["background", "flat"]}
+    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == content | listed
     np.testing.assert_array_equal(again.background, ARRAYS["background"])
     np.testing.assert_array_equal(again.flat, ARRAYS["flat"])
 
@@ -61,6 +62,7 @@ def test_distortion_makes_a_file_of_version_2_that_is_not_read_without_it(tmp_pa
     assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8")) == FULL | {
         "version": 2,
         "needs": ["distortion"],
+        "arrays": ["background", "flat", "distortion"],
     }
     again = read_calibration(tmp_path / "c.json")
     np.testing.assert_array_equal(again.distortion, DISTORTION)
@@ -71,6 +73,43 @@ def test_distortion_makes_a_file_of_version_2_that_is_not_read_without_it(tmp_pa
     np.savez(tmp_path / "c.npz", distortion=DISTORTION[:, :6])
     with pytest.raises(CalibrationError, match=r"distortion has shape \(2, 6\)"):
         read_calibration(tmp_path / "c.json")
+
+
+def remove(path):
+    path.unlink()
+
+
+def keep_the_flat_field_alone(path):
+    np.savez(path, flat=ARRAYS["flat"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "absent"), [(remove, "background and flat"), (keep_the_flat_field_alone, "background")]
+)
+def test_arrays_that_were_saved_with_the_record_and_are_absent_are_a_warning(tmp_path, spoil, absent):
+    """They are worth some grey levels, or an option; the numbers hold without them."""
+    path = write_calibration(tmp_path / "c.json", Calibration.parse(FULL).model_copy(update=ARRAYS))
+    spoil(tmp_path / "c.npz")
+    with pytest.warns(
+        UserWarning, match=rf"c\.json was saved with {absent}, which c\.npz lacks: put .* calibrate again$"
+    ) as said:
+        left = read_calibration(path)
+    assert len(said) == 1
+    assert left.background is None
+    assert left.content() == FULL
+    write_calibration(path, left, force=True)  # from now on they are known to be absent
+    assert read_calibration(path).content() == FULL
+
+
+def test_what_is_read_without_its_file_of_arrays_lists_none(tmp_path):
+    """Neither a record in a recording, nor one that never had arrays; and a list that is none is passed over."""
+    known = Calibration.parse(FULL).model_copy(update=ARRAYS)
+    write_stack(tmp_path / "r.tif", [np.zeros((20, 40), np.uint8)], ImageMetadata(calibration=known))
+    with open_recording(tmp_path / "r.tif") as recording:
+        assert recording.calibration.content() == FULL
+    for listed in ([], ["unknown", 3], 7, None, {"flat": 1}):
+        (tmp_path / "c.json").write_text(json.dumps(FULL | {"arrays": listed}))
+        assert read_calibration(tmp_path / "c.json").content() == FULL
 
 
 FROZEN = """{

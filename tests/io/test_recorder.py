@@ -54,6 +54,21 @@ def test_everything_that_was_recorded_is_read_back(tmp_path, dtype, shape):
         assert recording.calibration.background.mean() == 3.5
 
 
+@pytest.mark.parametrize("name", ["r.npy", "r.avi", "r.ome.zarr"])
+def test_a_name_by_which_another_format_is_read_is_refused(tmp_path, name):
+    with pytest.raises(InputError, match=f"{name} is read as .*, and recordings are TIFF: let it end in .ome.tif"):
+        RecordingWriter(tmp_path / name, (30, 47), np.uint8, calibration=CALIBRATION)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["r.btf", "r.tiff", "r", "r.raw"])
+def test_any_other_name_is_read_as_a_recording(tmp_path, name):
+    with RecordingWriter(tmp_path / name, (30, 47), np.uint8) as writer:
+        writer.append(frame(0), 0.0, 0)
+    with open_recording(tmp_path / name) as recording:
+        np.testing.assert_array_equal(recording[0], frame(0))
+
+
 def test_a_recording_without_frames_leaves_nothing(tmp_path):
     RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8, calibration=CALIBRATION).close()
     assert not list(tmp_path.iterdir())

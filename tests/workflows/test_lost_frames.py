@@ -78,20 +78,22 @@ def test_the_velocity_after_lost_frames_is_that_of_the_probe(truth: Truth) -> No
 @pytest.mark.parametrize("mode", ["els", "elsa"])
 def test_recordings_tell_the_lost_frames_themselves(truth: Truth, tmp_path: Path, mode: str) -> None:
     numbers, path = kept(np.r_[20:24]), tmp_path / "gap.ome.tif"
+    period_s = truth.calibration.frame_period_s
+    assert period_s is not None
     with RecordingWriter(path, truth.frames.shape[1:], np.uint8, calibration=truth.calibration) as writer:
         for number in numbers:
-            writer.append(truth.frames[number], time_s=number / 240, frame_number=int(number))
+            writer.append(truth.frames[number], time_s=number * period_s, frame_number=int(number))
     frames = truth.frames[numbers]
     with open_recording(path) as recording:
         by_recording = track(recording, truth.calibration, mode)
         one = mosaic(recording, truth.calibration, mode, threads=1).track
         two = mosaic(recording, truth.calibration, mode, threads=2).track
-    given = track(frames, truth.calibration, mode, times_s=numbers / 240, frame_numbers=numbers)
-    untold = track(frames, truth.calibration, mode, times_s=numbers / 240)
+    given = track(frames, truth.calibration, mode, times_s=numbers * period_s, frame_numbers=numbers)
+    untold = track(frames, truth.calibration, mode, times_s=numbers * period_s)
     assert repr(by_recording) == repr(one) == repr(two) == repr(given)
     assert repr(untold) != repr(given)
     plan = MosaicPlan((Mode(mode),))
-    shown = StackMosaics(frames, truth.calibration, plan, numbers / 240, numbers)
+    shown = StackMosaics(frames, truth.calibration, plan, numbers * period_s, numbers)
     shown.run()
     assert repr(list(shown.rows)) == repr(given)
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,12 +9,17 @@ import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_track
+from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import MosaicResult, mosaic, track
 from recordings import Truth, fibres, record, smooth_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +29,36 @@ def truth() -> Truth:
 
 @pytest.fixture(scope="module")
 def result(truth: Truth) -> MosaicResult:
-    return mosaic(truth.frames, truth.calibration, "els", times_s=0.5 * np.arange(12))
+    return mosaic(truth.frames, truth.calibration, "els", times_s=own_times_s(truth, 1.0))
 
 
 def test_the_track_is_that_of_the_mosaic(truth: Truth, result: MosaicResult) -> None:
-    alone = track(truth.frames, truth.calibration, "els", times_s=0.5 * np.arange(12))
+    times_s = own_times_s(truth, 1.0)
+    alone = track(truth.frames, truth.calibration, "els", times_s=times_s)
     assert repr(alone) == repr(result.track)  # NaN equals itself in words only
-    assert [row.time_s for row in alone] == [0.5 * k for k in range(12)]
+    assert [row.time_s for row in alone] == times_s.tolist()
     found = np.array([(row.row_px, row.col_px) for row in alone])
     assert np.abs(found - (truth.positions - truth.positions[0])).max() < 0.5
+
+
+def own_times_s(truth: Truth, stretch: float) -> NDArray[np.float64]:
+    """Times of frames that were taken at the calibration's rate, or a slower one."""
+    period_s = truth.calibration.frame_period_s
+    assert period_s is not None
+    return stretch * period_s * np.arange(len(truth.frames))
+
+
+@pytest.mark.parametrize(("stretch", "noted"), [(1.0, 0), (1.01, 0), (1.1, 1), (0.5, 1)])
+def test_frames_of_another_rate_than_the_calibration_are_noted(truth: Truth, stretch: float, noted: int) -> None:
+    times_s = own_times_s(truth, stretch)
+    found = mosaic(truth.frames, truth.calibration, "els", times_s=times_s)
+    mosaics = StackMosaics(truth.frames, truth.calibration, MosaicPlan((Mode.ELS,)), times_s)
+    mosaics.run()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        track(truth.frames, truth.calibration, "els", times_s=times_s)
+    for notes in (found.notes, mosaics.notes, [str(warning.message) for warning in caught]):
+        assert [f"{1.912 * stretch:.2f} ms apart" in note and "\n" not in note for note in notes] == [True] * noted
 
 
 def test_each_step_reports_its_progress(truth: Truth) -> None:

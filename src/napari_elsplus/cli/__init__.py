@@ -9,8 +9,10 @@ from __future__ import annotations
 import atexit
 import gc
 import sys
+import warnings
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +20,9 @@ from napari_elsplus import __version__
 from napari_elsplus.closing import unwound_by_signals
 from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.processing.compilation import reported_compilation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 COMMANDS: dict[str, str] = {
     "demo": "files",
@@ -104,7 +109,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run_program(command: click.Command, name: str, arguments: list[str] | None = None) -> None:
     """Run a click command as a program and exit: 0 on success, 2 and one line for bad input, 130 when interrupted.
 
-    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed.
+    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed. A warning is one line, too.
 
     Parameters
     ----------
@@ -122,7 +127,7 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
     """
     atexit.register(gc.freeze)  # else the interpreter's last collection searches all that libraries hold: 0.1 s
     try:
-        with unwound_by_signals():
+        with unwound_by_signals(), _warnings_in_one_line(name):
             command.main(arguments, prog_name=name, standalone_mode=False)
     except (ElsPlusError, OSError) as error:
         _leave(f"{name}: {error_message(error)}", EXIT_BAD_INPUT)
@@ -131,6 +136,24 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
         sys.exit(EXIT_BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
         _leave(f"{name}: interrupted", EXIT_INTERRUPTED)
+
+
+@contextmanager
+def _warnings_in_one_line(name: str) -> Iterator[None]:
+    """Display warnings to the user as errors are; those to programmers stay as Python displays them."""
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, UserWarning):
+            click.echo(f"{name}: warning: {' '.join(str(message).split())}", err=True)
+        else:
+            before(message, category, *where, **more)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = before
 
 
 def _leave(line: str, code: int) -> None:

@@ -24,6 +24,8 @@ ARRAYS = {"background": 2, "flat": 2, "distortion": 2, "gain_map": 2, "scan_corr
 """Dimensions of the arrays, which lie in the .npz beside the file, by name."""
 NEEDED_ARRAYS = ("distortion", "gain_map")
 """Those without which a calibration that was measured with them is wrong; a file with one of them has version 2."""
+ARRAYS_KEY: Final = "arrays"
+"""Key of a file that names the arrays that were saved beside it; a record in memory has the arrays themselves."""
 DEFAULT_SLIT_ROWS: Final = 3.0
 """Slit width where it is unknown, rows: that of the presets."""
 DISTORTION_SHAPE = (2, 10)
@@ -282,7 +284,7 @@ class Calibration(Section):
                 f"the calibration has version {version}, this software reads up to {VERSION}", "update napari-elsplus"
             )
         try:
-            return cls.model_validate({k: v for k, v in content.items() if k not in ARRAYS})
+            return cls.model_validate({k: v for k, v in content.items() if k not in {*ARRAYS, ARRAYS_KEY}})
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "calibration"

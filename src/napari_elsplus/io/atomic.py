@@ -46,7 +46,8 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
 def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
     """Write a file beside its target and rename it at the end.
 
-    On any error, Ctrl-C included, what was written is removed and the target stays as it was.
+    On any error, Ctrl-C included, what was written is removed and the target stays as it was. A link is replaced by
+    what was written, and the file or folder that it names stays: it may be an earlier result under its own name.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
 
 
 def put_in_place(finished: Path, target: Path) -> None:
-    """Flush a finished file or folder to the disk and rename it onto its target, in place of what is there.
+    """Flush a finished file or folder to the disk and rename it onto its target, in place of the one or link there.
 
     Parameters
     ----------
@@ -95,8 +96,8 @@ def put_in_place(finished: Path, target: Path) -> None:
         Its new path.
     """
     flush(finished)
-    if target.is_dir():
-        shutil.rmtree(target)
+    if target.is_dir() or finished.is_dir():  # a file takes the place of a file or link only
+        _remove(target)
     finished.replace(target)
     _flush_folder(target.parent)
 
@@ -164,7 +165,8 @@ def _flush_folder(folder: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    """Remove a file, a folder, or a link but not what it names."""
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -11,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.instrument.calibration import ARRAYS, DISTORTION_SHAPE, Calibration
+from napari_elsplus.instrument.calibration import ARRAYS, ARRAYS_KEY, DISTORTION_SHAPE, Calibration
 from napari_elsplus.io.atomic import refuse_existing, replacing
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -46,10 +48,17 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     Raises
     ------
     CalibrationError
-        If the file is missing, broken, of another kind or of a newer version, or holds NaN or an impossible number.
+        If the file is missing, broken, of another kind or of a newer version, or holds NaN or an impossible number; if
+        an array is absent without which it is wrong.
+
+    Warns
+    -----
+    UserWarning
+        If another array is absent that was saved with it.
     """
     path = Path(path)
-    calibration = parse_calibration(_read_text(path), name=path.name)
+    text = _read_text(path)
+    calibration = parse_calibration(text, name=path.name)
     arrays = _read_arrays(path.with_suffix(".npz"), calibration)
     calibration = calibration.model_copy(update=arrays)
     missing = calibration.missing_array()
@@ -57,6 +66,13 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
         raise CalibrationError(
             f"{path.name} needs the {missing.replace('_', ' ')} in {path.with_suffix('.npz').name}, which is absent",
             "put that file beside it, or calibrate again",
+        )
+    absent = [name.replace("_", " ") for name in _listed_arrays(text) if name not in arrays]
+    if absent:
+        warnings.warn(
+            f"{path.name} was saved with {' and '.join(absent)}, which {path.with_suffix('.npz').name} lacks: put the "
+            "file that was saved with it beside it, or calibrate again",
+            stacklevel=2,
         )
     return calibration
 
@@ -91,7 +107,7 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
     beside = path.with_suffix(".npz")
     arrays = {name: value for name in ARRAYS if (value := getattr(calibration, name)) is not None}
     refuse_existing(beside, force=force)
-    text = format_calibration(calibration, indent=1)
+    text = format_calibration(calibration, indent=1, arrays=arrays)
     with replacing(path, force=force) as json_path:
         json_path.write_text(text + "\n", encoding="utf-8")
         if arrays:
@@ -127,7 +143,7 @@ def parse_calibration(text: str, *, name: str = "calibration") -> Calibration:
         raise CalibrationError(f"{name}: {error.problem}", error.remedy) from None
 
 
-def format_calibration(calibration: Calibration, indent: int | None = None) -> str:
+def format_calibration(calibration: Calibration, indent: int | None = None, arrays: Iterable[str] = ()) -> str:
     """Return a calibration as JSON text, without its arrays.
 
     Parameters
@@ -136,14 +152,17 @@ def format_calibration(calibration: Calibration, indent: int | None = None) -> s
         What to write.
     indent : int, optional
         Spaces for each level; one line by default.
+    arrays : iterable of str
+        Names of the arrays that are saved beside it; none by default.
 
     Raises
     ------
     CalibrationError
         If an unknown key holds NaN or anything else that JSON cannot represent.
     """
+    listed = {ARRAYS_KEY: names} if (names := list(arrays)) else {}
     try:
-        return json.dumps(calibration.content(), indent=indent, allow_nan=False)
+        return json.dumps(calibration.content() | listed, indent=indent, allow_nan=False)
     except (ValueError, TypeError, RecursionError) as error:
         raise CalibrationError(f"the calibration cannot be written ({error!s:.80})", "calibrate again") from None
 
@@ -160,6 +179,12 @@ def _read_text(path: Path) -> str:
         raise CalibrationError(f"{path.name} is no text", "name the .json file that `calibrate` wrote") from None
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} cannot be read ({error!s:.80})", "check the path and its permissions") from None
+
+
+def _listed_arrays(text: str) -> list[str]:
+    """Return the names of the arrays that were saved with a record; files of earlier versions have none."""
+    listed = json.loads(text).get(ARRAYS_KEY)
+    return [name for name in ARRAYS if name in listed] if isinstance(listed, list) else []
 
 
 def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.float32]]:

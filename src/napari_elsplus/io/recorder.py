@@ -21,8 +21,10 @@ from napari_elsplus.io.calibration_lookup import beside
 from napari_elsplus.io.calibrations import write_calibration
 from napari_elsplus.io.disk import write_at
 from napari_elsplus.io.formats import ome_xml as ome
-from napari_elsplus.io.formats.registry import ImageMetadata
+from napari_elsplus.io.formats.registry import ImageMetadata, format_of_name
+from napari_elsplus.io.formats.tiff import TIFF
 from napari_elsplus.io.formats.tiff_pages import PageLayout
+from napari_elsplus.io.frame_times import median_period_s
 
 if TYPE_CHECKING:
     import io
@@ -39,6 +41,20 @@ RESERVED_BYTES: Final = 64 << 20
 takes 120 us to write instead of 170, processor time."""
 _KEEP_SIZE: Final = 1
 """Flag of Linux' ``fallocate`` (linux/falloc.h): what is reserved lies beyond the end of the file."""
+
+
+def refuse_other_format(path: str | os.PathLike[str]) -> None:
+    """Raise an error if the `path` of a recording has a suffix by which another format than TIFF is read.
+
+    Raises
+    ------
+    InputError
+        If so; nothing could open the recording.
+    """
+    name = Path(path).name
+    found = format_of_name(Path(name))
+    if found is not None and found.name != TIFF.name:
+        raise InputError(f"{name} is read as {found.name}, and recordings are TIFF", "let it end in .ome.tif")
 
 
 class RecordingWriter(ClosedOnExit):
@@ -68,7 +84,8 @@ class RecordingWriter(ClosedOnExit):
     Raises
     ------
     InputError
-        If either file exists and `force` is not given, or the frames are not uint8 or uint16.
+        If either file exists and `force` is not given, the suffix is that of another format, or the frames are not
+        uint8 or uint16.
 
     Examples
     --------
@@ -98,6 +115,7 @@ class RecordingWriter(ClosedOnExit):
         self.dtype = np.dtype(dtype)
         if self.dtype not in (np.uint8, np.uint16) or min(self.frame_shape) < 1:
             raise InputError(f"frames of {self.frame_shape}, {self.dtype}", "raw frames are uint8 or uint16, not empty")
+        refuse_other_format(self.path)
         self._calibration, self._settings = calibration, dict(settings or {})
         self._files = self.path, *(beside(self.path, f".calibration{ending}") for ending in (".json", ".npz"))
         for file in self._files:
@@ -177,9 +195,7 @@ class RecordingWriter(ClosedOnExit):
             self._remove()
             return
         try:
-            ome.put_into_first_page(
-                self.path, (len(self), *self.frame_shape), self.dtype, self._metadata(), times_s=self._times_s
-            )
+            ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, self._metadata())
             self._flush()
         except OSError:
             self._cut_to_whole_pages()
@@ -189,10 +205,11 @@ class RecordingWriter(ClosedOnExit):
             raise OSError(failed.errno, problem, str(self.path)) from failed
 
     def _metadata(self) -> ImageMetadata:
-        times = np.array(self._times_s)
-        period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         return ImageMetadata(
-            frame_period_s=period if period > 0 else None, settings=self._settings, calibration=self._calibration
+            frame_period_s=median_period_s(self._times_s),
+            times_s=tuple(self._times_s),
+            settings=self._settings,
+            calibration=self._calibration,
         )
 
     def _close_file(self) -> None:

@@ -83,6 +83,11 @@ class Recording(ClosedOnExit):
         with decoding(self.path, "the frames' times"):
             return self._open().times_s()
 
+    @property
+    def camera_times_s(self) -> NDArray[np.float64] | None:
+        """Time of each frame in seconds, (T,), as it was taken; None if the file has none, or but a playback rate."""
+        return None if self.metadata.get("playback") else self.times_s
+
     def times_by(self, calibration: Calibration | None) -> NDArray[np.float64] | None:
         """Return the time of each frame in seconds, (T,): by a calibration if the file has but a playback rate.
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 ADOPTED: Final = "axes_adopted"
-"""Key in the metadata of a layer whose axes are those of another layer, not measured."""
+"""Key in the metadata of a layer that has axes of another layer, not measured: for each axis, True if it is one."""
 PIXEL: Final = "pixel"
 
 
@@ -28,8 +28,28 @@ def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str,
     return None
 
 
-def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> dict[str, Any]:
-    """Return scale and units of an image: micrometres, else those of calibrated layers beside it, else pixels.
+def adopted_axes(metadata: Mapping[str, Any] | None, ndim: int) -> tuple[bool, ...]:
+    """Return for each axis of a layer True if it is that of another layer: its scale is not to be measured by.
+
+    Parameters
+    ----------
+    metadata : mapping or None
+        The layer's.
+    ndim : int
+        Number of its axes.
+
+    Examples
+    --------
+    >>> adopted_axes({"elsplus": {ADOPTED: (False, True, True)}}, 3), adopted_axes({}, 2)
+    ((False, True, True), (False, False))
+    """
+    facts = (metadata or {}).get("elsplus", {})
+    flags = facts.get(ADOPTED, ()) if isinstance(facts, dict) else ()
+    return ((False,) * ndim + tuple(flags))[-ndim:]
+
+
+def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the axes of an image: micrometres, else those of calibrated layers beside it, else pixels.
 
     Parameters
     ----------
@@ -37,12 +57,19 @@ def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> dict[str, Any]
         Its scale; None if unknown.
     layers : sequence of napari layers
         Those of a viewer, which has a scale bar only if all units agree.
+
+    Returns
+    -------
+    axes : dict
+        ``scale`` and ``units`` of the layer.
+    adopted : dict
+        For the entry ``elsplus`` of its metadata: :data:`ADOPTED`, if the axes are those of another layer.
     """
     reference = None if um_per_px else reference_axes(layers)
     if reference is None:
-        return {"scale": (um_per_px or 1.0,) * 2, "units": ("um" if um_per_px else PIXEL,) * 2}
+        return {"scale": (um_per_px or 1.0,) * 2, "units": ("um" if um_per_px else PIXEL,) * 2}, {}
     steps, units = reference
-    return {"scale": steps[-2:], "units": units[-2:]}
+    return {"scale": steps[-2:], "units": units[-2:]}, {ADOPTED: (True, True)}
 
 
 def adopt_axes(
@@ -65,11 +92,11 @@ def adopt_axes(
     units = [str(unit) for unit in words.get("units", ())]
     if reference is None or len(units) != 3 or PIXEL not in units:
         return words, False
-    scale, translate = list(words["scale"]), list(words["translate"])
+    unknown, scale, translate = [unit == PIXEL for unit in units], list(words["scale"]), list(words["translate"])
     for axis, (step, unit) in enumerate(zip(*reference, strict=True)):
-        if units[axis] == PIXEL:
+        if unknown[axis]:
             translate[axis] *= step / scale[axis]
             scale[axis], units[axis] = step, unit
-    facts = {**words["metadata"]["elsplus"], ADOPTED: True}
+    facts = {**words["metadata"]["elsplus"], ADOPTED: tuple(unknown)}
     adopted = {"scale": tuple(scale), "translate": tuple(translate), "units": tuple(units)}
     return {**words, **adopted, "metadata": {**words["metadata"], "elsplus": facts}}, True

@@ -1,18 +1,47 @@
-"""Estimate the line periods per frame that a calibration lacks from the motion in a recording."""
+"""Compare a calibration's timing with a recording's, and estimate what it lacks from the motion."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from napari_elsplus.io.frame_times import median_period_s
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.methods import RegistrationTracking
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.workflows.sectioning import RawPairs
 
+MAX_PERIOD_DIFFERENCE: Final = 0.03
+"""Tolerated difference of frame periods, fraction. Chosen: the correction of motion within a frame has this relative
+error, 0.3 px where the probe moves 10."""
 MAX_FRAMES: Final = 600
 """Frames that are tracked for the estimate at most: 2.5 s at 240 Hz; chosen, its standard deviation is reported."""
+
+
+def frame_rate_note(calibration: Calibration | None, times_s: Sequence[float] | NDArray[np.float64] | None) -> str:
+    """Return a message to the user where frames are not as far apart as the calibration's; else an empty one.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        Its timing corrects the rolling shutter; None for finished images.
+    times_s : sequence of float or None
+        (T,) time of each frame, seconds.
+    """
+    period_s = None if times_s is None else median_period_s(times_s)
+    expected_s = None if calibration is None else calibration.frame_period_s
+    if period_s is None or expected_s is None or abs(period_s / expected_s - 1) <= MAX_PERIOD_DIFFERENCE:
+        return ""
+    return (
+        f"the frames are {1e3 * period_s:.2f} ms apart, those of the calibration {1e3 * expected_s:.2f} ms: use one of "
+        "this frame rate, since its timing corrects the rolling shutter"
+    )
 
 
 def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) -> tuple[Calibration, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,7 +18,7 @@ from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
-from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
 from napari_elsplus.workflows.progress import without_display
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images
@@ -56,7 +57,7 @@ class MosaicResult:
     settings : dict
         ``mode`` (``finished`` for finished images), ``method`` and ``insertion``, as they are written into the file.
     notes : tuple of str
-        Messages to the user: an estimated timing, too few tracked frames.
+        Messages to the user: another frame rate than the calibration's, an estimated timing, too few tracked frames.
     first_frame_px : tuple of float
         Row and column of the image at which the largest segment's track begins.
     """
@@ -162,6 +163,8 @@ def mosaic(
     if flat is not None and not (finished and Insertion(insertion) is Insertion.CORES):
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
+    times_s = _times_s(raw, calibration) if times_s is None else times_s
+    rate = frame_rate_note(calibration, times_s)
     pipeline, calibration, notes = _tracked(
         raw, calibration, shown, method, insertion, times_s, frame_numbers, threads, progress, flat
     )  # fmt: skip
@@ -179,7 +182,10 @@ def mosaic(
             "mode": "finished" if finished else shown.value,
             "insertion": Insertion(insertion).value,
         },
-        notes + _uneven_light(pipeline) + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+        ((rate,) if rate else ())
+        + notes
+        + _uneven_light(pipeline)
+        + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
         (0.0, 0.0) if extent is None else (-float(extent.top), -float(extent.left)),
     )
 
@@ -197,7 +203,8 @@ def track(
 ) -> list[TrackPoint]:
     """Track the probe through raw frames or finished images; the track of :func:`mosaic` without its images.
 
-    Parameters and errors are those of :func:`mosaic`.
+    Parameters and errors are those of :func:`mosaic`. A Python warning is issued where the frames are not as far apart
+    as the calibration's.
 
     Returns
     -------
@@ -207,6 +214,9 @@ def track(
     """
     _check_arguments(calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
+    times_s = _times_s(raw, calibration) if times_s is None else times_s
+    if note := frame_rate_note(calibration, times_s):
+        warnings.warn(note, stacklevel=2)
     pipeline, _, _ = _tracked(
         raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, frame_numbers, 2, progress
     )  # fmt: skip
@@ -243,8 +253,6 @@ def _tracked(
     if frame_numbers is None and isinstance(raw, Recording):
         frame_numbers = raw.frame_numbers
     pairs = RawPairs(raw, mode, frame_numbers)
-    if times_s is None:
-        times_s = raw.times_by(calibration) if isinstance(raw, Recording) else getattr(raw, "times_s", None)
     note = ""
     if calibration is None:
         nominal = calibration_of_finished_images(raw)
@@ -263,6 +271,11 @@ def _tracked(
             skip(pairs.lost_before(index))
             add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
     return pipeline, calibration, (note,) if note else ()
+
+
+def _times_s(raw: Frames, calibration: Calibration | None) -> Sequence[float] | NDArray[np.float64] | None:
+    """Return the time of each frame, (T,), as far as the frames have them."""
+    return raw.times_by(calibration) if isinstance(raw, Recording) else getattr(raw, "times_s", None)
 
 
 def _uneven_light(pipeline: Pipeline) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import ImageMetadata, Recording, allocate_images, fill_images, write_images
+from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
@@ -134,7 +136,7 @@ class SectionedImages:
         row_reference: bool = True,
         row_power: bool = False,
     ) -> None:
-        self.mode, self.calibration = Mode(mode), calibration
+        self.mode, self.calibration, self._raw = Mode(mode), calibration, raw
         self._pairs = RawPairs(raw, self.mode)
         rows, cols = raw[0].shape
         noisy = row_reference and calibration.bundle is not None and shows_row_noise(raw, calibration)
@@ -154,9 +156,23 @@ class SectionedImages:
 
     @property
     def frame_period_s(self) -> float | None:
-        """Seconds from one image to the next; ELSA's is that of two frames. None without timing in the calibration."""
-        period_s = self.calibration.frame_period_s
+        """Seconds from one image to the next by the recording's times, else by the calibration's timing; else None.
+
+        ELSA's is that of two frames.
+        """
+        own_s = None if self._frame_times_s is None else median_period_s(self._frame_times_s)
+        period_s = self.calibration.frame_period_s if own_s is None else own_s
         return None if period_s is None else period_s * self.mode.frames_per_image
+
+    @property
+    def times_s(self) -> NDArray[np.float64] | None:
+        """Time of each image's confocal frame in seconds, (T,); None if the recording has none of its camera."""
+        times = self._frame_times_s
+        return None if times is None else times[[self._pairs.frame(index) for index in range(len(self))]]
+
+    @cached_property
+    def _frame_times_s(self) -> NDArray[np.float64] | None:
+        return self._raw.camera_times_s if isinstance(self._raw, Recording) else None
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -243,8 +259,9 @@ class SectionedImages:
     @property
     def _metadata(self) -> ImageMetadata:
         """Metadata of the images, as they are written."""
-        settings = {"mode": self.mode.value}
-        return ImageMetadata(frame_period_s=self.frame_period_s, settings=settings, calibration=self.calibration)
+        period_s, settings = self.frame_period_s, {"mode": self.mode.value}
+        times_s = uneven_times_s(self.times_s, period_s)
+        return ImageMetadata(frame_period_s=period_s, times_s=times_s, settings=settings, calibration=self.calibration)
 
 
 def finishing(

@@ -19,9 +19,11 @@ from napari_elsplus.io import (
     refuse_existing,
     write_calibration,
     write_column,
+    write_images,
     write_json,
     write_stack,
 )
+from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS
@@ -62,12 +64,12 @@ class SimulatedRecording(RenderedFrames):
     depth_um: NDArray[np.float64] | None = None
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False, progress: Progress = without_display) -> None:
-        """Write the frames to an OME-TIFF, with NAME.calibration.json, NAME.truth.json and NAME.depths.csv beside it.
+        """Write the frames in the suffix's format; beside them NAME.{calibration.json,truth.json,depths.csv}.
 
         Parameters
         ----------
         path : path-like
-            File of the frames.
+            File of the frames: ``NAME.ome.tif`` for OME-TIFF, ``NAME.ome.zarr`` for OME-Zarr.
         force : bool
             Overwrite existing files.
         progress : Progress
@@ -76,17 +78,17 @@ class SimulatedRecording(RenderedFrames):
         Raises
         ------
         InputError
-            If a file exists and `force` is not given; then none is written.
+            If no format writes the suffix, or a file exists and `force` is not given; then none is written.
         """
         output = Path(path)
+        format_to_write(output)
         record, facts = beside(output, ".calibration.json"), beside(output, ".truth.json")
         depths = beside(output, ".depths.csv")
         scanned = self.depth_um is not None
         for target in (output, record, record.with_suffix(".npz"), facts, *([depths] if scanned else [])):
             refuse_existing(target, force=force)
         frames = (self[index] for index in progress(range(self.count), "depths" if scanned else "frames"))
-        axes = "ZYX" if scanned else "TYX"
-        write_stack(output, frames, ImageMetadata(calibration=self.calibration), force=force, axes=axes)
+        write_images(output, frames, ImageMetadata(calibration=self.calibration, depth_scan=scanned), force=force)
         write_calibration(record, self.calibration, force=force)
         write_json(facts, self.truth, allow_nan=False, force=force)
         if self.depth_um is not None:

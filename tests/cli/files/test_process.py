@@ -12,7 +12,8 @@ import pytest
 import tifffile
 
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import open_recording, write_calibration
+from napari_elsplus.io import RecordingWriter, open_recording, read_calibration, write_calibration
+from videos import write_avi
 
 SHAPE = (60, 130)
 Cli = Callable[..., Any]
@@ -162,6 +163,59 @@ def test_the_suffix_names_the_format(elsplus: Cli, files: tuple[Path, Path], tmp
     run = elsplus(command, raw, "-c", calibration, "-o", tmp_path / "out.png")
     assert (run.code, run.err.count("\n")) == (2, 1)
     assert "out.png has a suffix that cannot be written" in run.err
+
+
+TIMED = {"line_period_s": 1e-4, "line_periods_per_frame": 100.0}
+"""Frames 10 ms apart."""
+EVEN_S = 0.02 * np.arange(6)
+LOST_S = np.array([0.0, 0.02, 0.04, 0.1, 0.12, 0.14])
+"""Times of a camera that is half as fast, and of one that lost two frames meanwhile."""
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+@pytest.mark.parametrize(("mode", "step"), [("els", 1), ("elsa", 2)])
+@pytest.mark.parametrize("times_s", [EVEN_S, LOST_S, 1000 + EVEN_S])
+def test_images_have_the_times_of_the_frames_they_are_made_of(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path, ending: str, mode: str, step: int, times_s: Any
+) -> None:
+    record = read_calibration(files[1]).with_optics(**TIMED)
+    with RecordingWriter(tmp_path / "own.ome.tif", SHAPE, np.uint8, calibration=record) as writer:
+        for k, time_s in enumerate(times_s):
+            writer.append(np.zeros(SHAPE, np.uint8), float(time_s), k)
+    out = tmp_path / f"out{ending}"
+    run = elsplus("process", writer.path, "-c", tmp_path / "own.calibration.json", "--mode", mode, "-o", out)
+    assert run.code == 0
+    with open_recording(out) as back:
+        assert back.metadata["frame_period_s"] == pytest.approx(0.02 * step)
+        np.testing.assert_allclose(back.times_s, times_s[::step], atol=1e-9)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_rate_at_which_a_video_is_played_back_is_not_that_of_its_images(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path, timed: bool
+) -> None:
+    write_avi(tmp_path / "raw.avi", np.zeros((4, *SHAPE), np.uint8), rate_hz="50")
+    record = read_calibration(files[1])
+    if timed:
+        record = record.with_optics(**TIMED)
+    write_calibration(files[1], record, force=True)
+    assert elsplus("process", tmp_path / "raw.avi", "-c", files[1], "-o", tmp_path / "out.tif").code == 0
+    with open_recording(tmp_path / "out.tif") as back:
+        assert back.metadata.get("frame_period_s") == (pytest.approx(0.01) if timed else None)
+
+
+@pytest.mark.filterwarnings("always:.*saved with")
+def test_a_calibration_without_its_file_of_arrays_is_a_warning_of_one_line(
+    elsplus: Cli, files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    raw, calibration = files
+    known = read_calibration(calibration).model_copy(update={"background": np.zeros(SHAPE, np.float32)})
+    write_calibration(calibration, known, force=True)
+    calibration.with_suffix(".npz").unlink()
+    run = elsplus("process", raw, "-c", calibration, "-o", tmp_path / "out.tif")
+    assert (run.code, run.err.count("\n")) == (0, 1)
+    assert run.err.startswith("napari-elsplus: warning: cal.json was saved with background, which cal.npz")
+    assert "UserWarning" not in run.err
 
 
 @pytest.mark.parametrize("command", ["process", "compare", "mosaic", "axial"])

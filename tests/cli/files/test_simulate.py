@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.processing.images.sectioning import Mode
@@ -141,3 +142,44 @@ def test_an_existing_file_is_not_replaced_unasked(elsplus: Elsplus, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["r.truth.json"]
     assert elsplus("simulate", "recording", "--frames", 1, "--force", "-o", tmp_path / "r.ome.tif").code == 0
     assert truth.read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"), [("recording", ("--frames", 2)), ("axial", ("--slit-um", 3.0))], ids=["recording", "axial"]
+)
+def test_the_suffix_names_the_format(
+    elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, arguments: tuple[object, ...]
+) -> None:
+    monkeypatch.setattr("napari_elsplus.workflows.simulated.scan_depths_um", lambda: np.array([0.0, 10.0, 90.0]))
+    for name in ("a.ome.tif", "b.ome.zarr"):
+        run = elsplus("simulate", kind, *arguments, "-o", tmp_path / name)
+        assert run.code == 0, run.err
+    with open_recording(tmp_path / "a.ome.tif") as one, open_recording(tmp_path / "b.ome.zarr") as other:
+        np.testing.assert_array_equal(one[:], other[:])
+        assert other.calibration.bundle == one.calibration.bundle
+        assert other.metadata["axes"] == ("zyx" if kind == "axial" else "tyx")
+    with tifffile.TiffFile(tmp_path / "a.ome.tif") as file:
+        assert file.series[0].axes == ("ZYX" if kind == "axial" else "TYX")
+
+
+@pytest.mark.parametrize("kind", ["recording", "axial"])
+@pytest.mark.parametrize("name", ["r.npy", "r.avi", "r.png", "r"])
+def test_a_suffix_that_no_format_writes_is_refused_before_the_work(
+    elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, name: str
+) -> None:
+    monkeypatch.setattr("napari_elsplus.simulation.rendering.renderer.Renderer.__init__", None)
+    monkeypatch.setattr("napari_elsplus.simulation.axial_scan.AxialScan.__init__", None)
+    run = elsplus("simulate", kind, "-o", tmp_path / name)
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert f"{name} has a suffix that cannot be written" in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_or_a_path_that_is_read_is_not_overwritten(elsplus: Elsplus, tmp_path: Path) -> None:
+    scene = tmp_path / "tissue.tif"
+    cv2.imwrite(str(scene), np.random.default_rng(0).integers(0, 255, (900, 900)).astype(np.uint8))
+    before = scene.read_bytes()
+    run = elsplus("simulate", "recording", "--scene", scene, "--frames", 1, "-o", scene, "--force")
+    assert run.code == 2
+    assert "is read, and would be overwritten" in run.err
+    assert scene.read_bytes() == before

@@ -94,6 +94,8 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path) -> N
         (["--seconds", "1", "--rig", "none"], "no rig 'none'"),
         (["--seconds", "1", "-c", "absent.json"], "absent.json"),
         (["--seconds", "1", "--record", "/nowhere/r.ome.tif"], "/nowhere"),
+        (["--seconds", "1", "--record", "r.npy"], "r.npy is read as NumPy, and recordings are TIFF"),
+        (["--seconds", "1", "--record", "r.ome.zarr"], "r.ome.zarr is read as OME-Zarr"),
         (["--seconds", "nan"], "--seconds is nan"),
         (["--seconds", "inf"], "--seconds is inf"),
         (["--seconds", "1", "--record", ""], "name of a file or folder is empty"),

@@ -15,7 +15,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.io import read_track, write_calibration
+from napari_elsplus.io import open_recording, read_track, write_calibration, write_images
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.mosaic.panel import MosaicPanel
 from recordings import Truth, record, smooth_path, texture
@@ -215,6 +215,25 @@ def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
     layer = viewer.layers["mosaic my images"]
     assert layer.scale == pytest.approx([2, 2])
     assert "<b>10</b> of 10" in panel.form.status.text()
+
+
+def test_a_mosaic_of_images_without_a_scale_is_not_measured(viewer, panel, qtbot, tmp_path):
+    scene = 100 * texture(500, 3)
+    images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])
+    (tmp_path / "bare").mkdir()
+    write_images(tmp_path / "bare" / "mine.tif", images)
+    viewer.open(str(tmp_path / "bare" / "mine.tif"), plugin=PLUGIN)
+    assert str(viewer.layers["mine images"].units[-1]) == "micrometer"
+    panel.form.recording.value = "mine images"
+    make(panel, qtbot)
+    layer = viewer.layers["mosaic mine images"]
+    assert str(layer.units[-1]) == "micrometer"
+    layer.save(str(tmp_path / "layer.ome.tif"), plugin=PLUGIN)
+    panel.save(tmp_path / "panel.ome.tif")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=30_000)
+    for name in ("layer", "panel"):
+        with open_recording(tmp_path / f"{name}.ome.tif") as back:
+            assert "um_per_px" not in back.metadata
 
 
 def test_layers_that_are_used_again_take_the_scale_of_the_new_mosaic(viewer, panel, qtbot):

@@ -232,7 +232,7 @@ def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
 ) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
-    for name in ("a.tif", "a.calibration.json", "c.tif"):
+    for name in ("a.tif", "a.calibration.json", "a.calibration.npz", "c.tif"):
         (folder / name).write_bytes((recordings / name).read_bytes())
     with open_recording(recordings / "a.tif") as raw:
         other = raw.calibration
@@ -251,7 +251,7 @@ def test_different_calibrations_are_noted_and_a_missing_one_fails_its_recording(
 def test_a_batch_after_another_calibration_makes_its_images_anew(recordings: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"
     folder.mkdir()
-    for name in ("a.tif", "a.calibration.json"):
+    for name in ("a.tif", "a.calibration.json", "a.calibration.npz"):
         (folder / name).write_bytes((recordings / name).read_bytes())
     (old,) = batch(folder, out, mosaic=True).rows
     with open_recording(folder / "a.tif") as raw:

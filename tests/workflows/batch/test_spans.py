@@ -124,7 +124,7 @@ def test_spans_of_another_recording_are_not_resumed(
 ) -> None:
     folder = tmp_path / "in"
     folder.mkdir()
-    for name in ("a.tif", "a.calibration.json"):
+    for name in ("a.tif", "a.calibration.json", "a.calibration.npz"):
         (folder / name).write_bytes((recordings / name).read_bytes())
     with monkeypatch.context() as patch:
         killed_in(patch, spans.SpannedImages, "remember", after=True)

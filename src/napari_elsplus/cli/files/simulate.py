@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,11 +17,12 @@ from napari_elsplus.cli.options import (
     force_option,
     output_option,
     progress,
+    refuse_outputs,
 )
 from napari_elsplus.instrument.optics import PRESETS
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Sequence
 
     from napari_elsplus.simulation.model.imperfections import Imperfections
     from napari_elsplus.workflows.simulated import SimulatedRecording
@@ -131,6 +133,7 @@ def recording(
     """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
     from napari_elsplus.workflows.simulated import simulate_recording
 
+    _refuse(output, force=force, inputs=[Path(name) for name in (scene_name, path_name) if Path(name).is_file()])
     simulated = simulate_recording(
         preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
         frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections,
@@ -152,6 +155,7 @@ def axial(
     """Simulate a scan of depths of a stained plate: raw frames, NAME.{depths.csv,calibration.json,truth.json}."""
     from napari_elsplus.workflows.simulated import simulate_axial_scan
 
+    _refuse(output, force=force)
     simulated = simulate_axial_scan(
         slit_um=slit_um, offset_um=offset_um, state=state, seed=seed, imperfections=imperfections
     )
@@ -179,6 +183,13 @@ def calibration(
     )
     simulated.save(output, force=force, progress=progress)
     click.echo(f"wrote {output}")
+
+
+def _refuse(output: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
+    from napari_elsplus.io.formats.registry import format_to_write
+
+    refuse_outputs(output, force=force, inputs=inputs)
+    format_to_write(output)
 
 
 def _save(simulated: SimulatedRecording, output: Path, *, force: bool) -> None:

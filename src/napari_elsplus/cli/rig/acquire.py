@@ -64,9 +64,12 @@ def command(
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.io import beside, read_calibration, write_json
     from napari_elsplus.io.formats.registry import format_to_write
+    from napari_elsplus.io.recorder import refuse_other_format
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
+    if record is not None:
+        refuse_other_format(record)
     if mosaic is not None:
         format_to_write(mosaic)
     keep_pace()

@@ -40,7 +40,6 @@ def write_stack(
     metadata: ImageMetadata = ImageMetadata(),  # noqa: B008 - immutable
     *,
     force: bool = False,
-    axes: str = "TYX",
 ) -> int:
     """Write images of one shape and type to an OME-TIFF, one at a time in memory.
 
@@ -54,8 +53,6 @@ def write_stack(
         Pixel size, settings, calibration; nothing by default.
     force : bool
         Replace an existing file instead of refusing it.
-    axes : str
-        Meaning of the axes: ``"TYX"`` or, for a scan of depths, ``"ZYX"``.
 
     Returns
     -------
@@ -75,14 +72,14 @@ def write_stack(
         planes = chain([first], planes)
         if isinstance(images, Sized):
             shape = (len(images), *first.shape)
-            _lay_out(beside, shape, first.dtype, metadata, axes)
+            _lay_out(beside, shape, first.dtype, metadata)
             return fill_stack(beside, 0, planes)
         count = 0
         with tifffile.TiffWriter(beside, bigtiff=True) as writer:
             for image in planes:
                 writer.write(image, contiguous=True, **_PAGE)
                 count += 1
-        ome.put_into_first_page(beside, (count, *first.shape), first.dtype, metadata, axes)
+        ome.put_into_first_page(beside, (count, *first.shape), first.dtype, metadata)
     return count
 
 
@@ -106,16 +103,16 @@ def allocate_stack(
         As :func:`write_stack`.
     """
     refuse_existing(path)
-    _lay_out(Path(path), shape, np.dtype(dtype), metadata, "TYX")
+    _lay_out(Path(path), shape, np.dtype(dtype), metadata)
 
 
-def _lay_out(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], metadata: ImageMetadata, axes: str) -> None:
+def _lay_out(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], metadata: ImageMetadata) -> None:
     import tifffile
 
     pixel_bytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     with tifffile.TiffWriter(path, bigtiff=pixel_bytes > MAX_CLASSIC_BYTES) as writer:
         writer.write(shape=shape, dtype=dtype, contiguous=True, **_PAGE)
-    ome.put_into_first_page(path, (shape[0], shape[1], shape[2]), dtype, metadata, axes)
+    ome.put_into_first_page(path, (shape[0], shape[1], shape[2]), dtype, metadata)
 
 
 def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -249,7 +246,7 @@ def write_ome_tiff_pyramid(
         image = np.ascontiguousarray(image)
         if image.ndim != 2 or image.size == 0:
             raise InputError(f"the mosaic has shape {image.shape}", "a mosaic (rows, cols) is expected")
-        fields = ome.tifffile_metadata(metadata, "YX")
+        fields = ome.tifffile_metadata(metadata, single=True)
         levels = pyramid(image)
         with tifffile.TiffWriter(beside, bigtiff=image.nbytes > MAX_CLASSIC_BYTES, ome=True) as writer:
             for index, level in enumerate(levels):

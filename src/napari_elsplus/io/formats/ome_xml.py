@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
-
-import numpy as np
 
 from napari_elsplus import __version__
 from napari_elsplus.instrument.calibration import FORMAT
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.io.formats.source import positive
+from napari_elsplus.io.formats.source import ordered_times_s, positive
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
+
+    import numpy as np
 
     from napari_elsplus.io.formats.registry import ImageMetadata
 
@@ -29,28 +27,25 @@ TO_S: Final = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "μs": 1e-6, "us": 1e-6, "min"
 """Micrometres and seconds in the units of OME-XML."""
 
 
-def tifffile_metadata(
-    metadata: ImageMetadata, axes: str = "TYX", times_s: Sequence[float] | None = None
-) -> dict[str, Any]:
+def tifffile_metadata(metadata: ImageMetadata, *, single: bool = False) -> dict[str, Any]:
     """Return the metadata of a stack, or of a single image, under the keys of tifffile's OME metadata.
 
     Parameters
     ----------
     metadata : ImageMetadata
         Calibration and settings are kept as annotations.
-    axes : str
-        ``"TYX"``, ``"ZYX"``, or ``"YX"`` for a single image, which has no frame interval.
-    times_s : sequence of float, optional
-        Time of each frame.
+    single : bool
+        True for a single image; like a scan of depths it has neither a frame interval nor times.
     """
+    axes = "YX" if single else "ZYX" if metadata.depth_scan else "TYX"
     fields: dict[str, Any] = {"Description": SOFTWARE, "axes": axes}
     if metadata.um_per_px is not None:
         fields |= {"PhysicalSizeX": metadata.um_per_px, "PhysicalSizeY": metadata.um_per_px}
         fields |= {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
-    if metadata.frame_period_s is not None and axes != "YX":
+    if metadata.frame_period_s is not None and axes == "TYX":
         fields |= {"TimeIncrement": metadata.frame_period_s, "TimeIncrementUnit": "s"}
-    if times_s is not None:
-        fields["Plane"] = {"DeltaT": list(times_s), "DeltaTUnit": ["s"] * len(times_s)}
+    if metadata.times_s is not None and axes == "TYX":
+        fields["Plane"] = {"DeltaT": list(metadata.times_s), "DeltaTUnit": ["s"] * len(metadata.times_s)}
     notes = []
     if metadata.calibration is not None:
         notes.append({"Namespace": FORMAT, "Value": format_calibration(metadata.calibration)})
@@ -66,8 +61,6 @@ def put_into_first_page(
     shape: tuple[int, int, int],
     dtype: np.dtype[Any],
     metadata: ImageMetadata,
-    axes: str = "TYX",
-    times_s: Sequence[float] | None = None,
 ) -> None:
     """Write the OME-XML of a finished TIFF of one page per frame over the first page's description.
 
@@ -79,14 +72,14 @@ def put_into_first_page(
         (T, rows, cols).
     dtype : numpy.dtype
         Of the frames.
-    metadata, axes, times_s
+    metadata
         As :func:`tifffile_metadata`.
     """
     import tifffile
 
     count, rows, cols = shape
     xml = tifffile.OmeXml(creator=SOFTWARE)
-    fields = tifffile_metadata(metadata, axes, times_s)
+    fields = tifffile_metadata(metadata)
     xml.addimage(dtype.name, shape, (count, 1, 1, rows, cols, 1), **fields)
     with tifffile.TiffFile(path, mode="r+") as file:
         file.pages.first.tags["ImageDescription"].overwrite(xml.tostring(declaration=True).encode(), erase=False)
@@ -108,19 +101,17 @@ def parse(xml: str) -> dict[str, Any]:
     scale = TO_S.get(pixels.get("TimeIncrementUnit", "s"))
     if scale and (period := positive(pixels.get("TimeIncrement"))):
         metadata["frame_period_s"] = period * scale
-    times = [_delta_s(plane) for plane in pixels.iterfind("{*}Plane")]
-    finite = [time for time in times if time is not None]
-    if times and len(finite) == len(times) and all(a <= b for a, b in pairwise(finite)):
-        metadata["times_s"] = finite
+    times = ordered_times_s([_delta_s(plane) for plane in pixels.iterfind("{*}Plane")])
+    if times is not None:
+        metadata["times_s"] = times
     return metadata | _annotations(root)
 
 
 def _delta_s(plane: ElementTree.Element) -> float | None:
     try:
-        value = float(plane.get("DeltaT", "nan")) * TO_S.get(plane.get("DeltaTUnit", "s"), float("nan"))
+        return float(plane.get("DeltaT", "nan")) * TO_S.get(plane.get("DeltaTUnit", "s"), float("nan"))
     except ValueError:
         return None
-    return value if np.isfinite(value) else None
 
 
 def _annotations(root: ElementTree.Element) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
-from napari_elsplus.io.formats.source import FrameSource, positive
+from napari_elsplus.io.formats.source import FrameSource, ordered_times_s, positive
 
 if TYPE_CHECKING:
     import os
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from napari_elsplus.io.formats.registry import ImageMetadata
 
 NOTES: Final = "napari-elsplus"
-"""Attribute of the group that keeps settings, software and calibration."""
+"""Attribute of the group that keeps settings, software, calibration and times."""
+TIMES: Final = "times_s"
+"""Key of the images' times among them: the axes of OME-Zarr have a step only."""
 _TO_UM: Final = {"micrometer": 1.0, "nanometer": 1e-3, "millimeter": 1e3, "meter": 1e6}
 _TO_S: Final = {"second": 1.0, "millisecond": 1e-3, "microsecond": 1e-6, "minute": 60.0}
 """Micrometres and seconds in the units of OME-Zarr."""
@@ -79,7 +81,10 @@ def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
             scale = [a * b for a, b in zip(scale, transform["scale"], strict=True)]
     metadata: dict[str, Any] = {"axes": "".join(axis["name"][:1] for axis in axes)}
     if isinstance(notes, dict):
-        metadata["settings"] = {name: value for name, value in notes.items() if name != "calibration"}
+        metadata["settings"] = {name: value for name, value in notes.items() if name not in {"calibration", TIMES}}
+        times: Any = notes.get(TIMES)
+        if isinstance(times, list) and all(isinstance(time, int | float) for time in times):
+            metadata["times_s"] = ordered_times_s(times)
         if "calibration" in notes:
             metadata["calibration"] = json.dumps(notes["calibration"])
     metadata |= _scales(axes, scale if transforms else ())
@@ -263,7 +268,9 @@ def _new_group(path: str | os.PathLike[str], metadata: ImageMetadata, *, force: 
     with replacing(target, force=force) as beside:
         group = zarr.open_group(beside, mode="w", zarr_format=3)
         yield group
-        kept = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
+        kept: dict[str, Any] = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
+        if metadata.times_s is not None:
+            kept[TIMES] = list(metadata.times_s)
         group.attrs[NOTES] = {"software": SOFTWARE, **metadata.settings, **kept}
 
 
@@ -271,11 +278,11 @@ def _new_array(
     group: Any, path: str | os.PathLike[str], shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata
 ) -> Any:
     """Return the new array of a stack of images, a chunk each, in a group that has its axes and scale."""
-    size, period_s = metadata.um_per_px or 1.0, metadata.frame_period_s
-    time = _axis("t", "time", "second" if period_s else None)
+    size, period_s = metadata.um_per_px or 1.0, None if metadata.depth_scan else metadata.frame_period_s
+    first = _axis("z", "space", None) if metadata.depth_scan else _axis("t", "time", "second" if period_s else None)
     scaled = {"type": "scale", "scale": [period_s or 1.0, size, size]}
     datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
-    _describe(group, path, [time, *_space(metadata.um_per_px)], datasets)
+    _describe(group, path, [first, *_space(metadata.um_per_px)], datasets)
     return group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
 
 

@@ -39,6 +39,10 @@ class ImageMetadata:
         Pixel size, micrometres; the calibration's by default.
     frame_period_s : float, optional
         Time from one image to the next, seconds; the calibration's by default.
+    times_s : tuple of float, optional
+        (T,) time of each image, seconds, where the period alone does not give them.
+    depth_scan : bool
+        True for images at successive depths; by default their first axis is time.
     settings : mapping
         Anything else to keep; must be fit for JSON.
     calibration : Calibration, optional
@@ -52,6 +56,8 @@ class ImageMetadata:
 
     um_per_px: float | None = None
     frame_period_s: float | None = None
+    times_s: tuple[float, ...] | None = None
+    depth_scan: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     calibration: Calibration | None = None
 

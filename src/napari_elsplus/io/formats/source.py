@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
+from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,7 +13,7 @@ import numpy as np
 from napari_elsplus.errors import ElsPlusError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -144,3 +145,10 @@ def positive(value: object) -> float | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return number if isfinite(number) and number > 0 else None
+
+
+def ordered_times_s(values: Sequence[float | None]) -> list[float] | None:
+    """Return the times in a file if all `values` are finite and none is before the one that precedes it."""
+    times = [value for value in values if value is not None and isfinite(value)]
+    ordered = bool(times) and len(times) == len(values) and all(a <= b for a, b in pairwise(times))
+    return times if ordered else None

@@ -21,7 +21,7 @@ from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segm
 from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
-from napari_elsplus.workflows.line_timing import with_timing
+from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED
 
@@ -153,6 +153,8 @@ class StackMosaics:
         return True
 
     def _run(self, progress: ProgressWrapper) -> None:
+        if self._field is None and (note := frame_rate_note(self.calibration, self._times_s)):
+            self.notes.append(note)
         if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
             self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
             if note:

@@ -44,15 +44,18 @@ def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: 
         return
     accepted = draft if draft.pair is pair else PAIR.accept(draft, pair, shown.setup)
     data, attributes, _ = outline_layer(accepted.calibration, OUTLINES)
-    placed = plane_axes(accepted.calibration.um_per_px, viewer.layers)
+    placed, adopted = plane_axes(accepted.calibration.um_per_px, viewer.layers)
+    facts = {"kind": IMAGE, **adopted}
     if same:
+        present[0].metadata["elsplus"] = facts
         for layer in present:
             layer.scale, layer.units = placed["scale"], placed["units"]
         return
     covered = [layer for layer in viewer.layers if layer.visible]
     for layer in covered:
         layer.visible = False
-    viewer.add_image(pair.image, name=IMAGE, metadata={PAIR_KEY: pair, COVERED_KEY: covered}, **placed)
+    metadata = {PAIR_KEY: pair, COVERED_KEY: covered, "elsplus": facts}
+    viewer.add_image(pair.image, name=IMAGE, metadata=metadata, **placed)
     viewer.add_shapes(data, **{**attributes, **placed})
 
 

@@ -115,7 +115,7 @@ class LiveLayers:
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         known = self._ours
         others = [layer for layer in self._viewer.layers if layer not in known]
-        axes = plane_axes(None if calibration is None else calibration.um_per_px, others)
+        axes, adopted = plane_axes(None if calibration is None else calibration.um_per_px, others)
         corners: dict[str, tuple[float, float]] = {}
         left_px = 0
         for kind in KINDS:
@@ -132,7 +132,7 @@ class LiveLayers:
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
                 "calibration_path": calibration_file, "file": {}, "software": f"napari-elsplus {__version__}",
-                "rig": rig, "displayed_since": utc_now(),
+                "rig": rig, "displayed_since": utc_now(), **adopted,
             }  # fmt: skip
             if layer is None:
                 layer = self._add(kind, shape, dtype, {**place, "metadata": {"elsplus": facts}})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus import __version__
+from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import MOSAIC
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class OwnLayers:
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         self._viewer = viewer
         self._obtained: set[str] = set()
-        self._um_per_px: float | None = None
+        self._axes, self._adopted = plane_axes(None, ())
 
     @property
     def present(self) -> dict[str, Layer]:
@@ -40,8 +41,9 @@ class OwnLayers:
 
     @property
     def step(self) -> float:
-        """Size of a mosaic's pixel: micrometres, or 1 if the scale is unknown."""
-        return self._um_per_px or 1.0
+        """Size of a mosaic's pixel in the viewer: micrometres, or that of calibrated layers, or 1."""
+        size: float = self._axes["scale"][0]
+        return size
 
     def begin(self, kinds: Collection[str], um_per_px: float | None) -> None:
         """Prepare for another mosaic: remove layers that it does not have, and reuse the rest.
@@ -51,9 +53,11 @@ class OwnLayers:
         kinds : collection of str
             Kinds of layers of the new mosaic.
         um_per_px : float or None
-            Size of its pixel.
+            Size of its pixel; if unknown, it is displayed with that of calibrated layers.
         """
-        self._obtained, self._um_per_px = set(), um_per_px
+        ours = list(self.present.values())
+        self._obtained = set()
+        self._axes, self._adopted = plane_axes(um_per_px, [one for one in self._viewer.layers if one not in ours])
         for kind, layer in self.present.items():
             if kind not in kinds:
                 self._viewer.layers.remove(layer)
@@ -85,19 +89,19 @@ class OwnLayers:
         if made:
             layer = make()
         if layer is not None and new:
-            layer.scale = (self.step, self.step)
-            layer.units = ("um", "um") if self._um_per_px else ("pixel", "pixel")
+            layer.scale, layer.units = self._axes["scale"], self._axes["units"]
             layer.axis_labels = ("row", "col")
+            layer.metadata["elsplus"] = {
+                "kind": f"{MOSAIC} {kind}",
+                MOSAIC: kind,
+                "software": f"napari-elsplus {__version__}",
+                **self._adopted,
+            }
         if made:
             self._insert(layer, kind, select)
         return layer, made
 
     def _insert(self, layer: Layer, kind: str, select: bool) -> None:
-        layer.metadata["elsplus"] = {
-            "kind": f"{MOSAIC} {kind}",
-            MOSAIC: kind,
-            "software": f"napari-elsplus {__version__}",
-        }
         selected = set(self._viewer.layers.selection)
         above = [other for one, other in self.present.items() if _height(one) > _height(kind)]
         place = min((self._viewer.layers.index(other) for other in above), default=len(self._viewer.layers))

@@ -10,6 +10,7 @@ from napari.layers import Image
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
@@ -121,7 +122,8 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     if calibration is not None:
         numbers = None if recording is None else recording.frame_numbers
         return MosaicSource(frames, calibration, times_s, numbers, TITLES)
-    um = float(layer.scale[-1]) if str(layer.units[-1]) in ("micrometer", "um") else None
+    measured = str(layer.units[-1]) in ("micrometer", "um") and not adopted_axes(layer.metadata, layer.ndim)[-1]
+    um = float(layer.scale[-1]) if measured else None
     return MosaicSource(
         frames, calibration_of_finished_images(frames, um), times_s, None, {Mode.LS: layer.name}, finished=True
     )
