@@ -11,6 +11,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import VERSION, AcquiredWith, Calibration, FrameSection
 from napari_elsplus.instrument.staleness import stale_sections
 
+IMPOSSIBLE = [0.0, -1.3, float("nan"), float("inf")]
 RECORD: dict[str, Any] = {
     "format": "napari-elsplus/calibration",
     "version": 1,
@@ -129,3 +130,15 @@ def test_a_scan_lag_that_was_not_measured_is_absent_and_not_zero(absent):
     calibration = Calibration.parse({"galvo": galvo})
     assert calibration.galvo.lag_s is None
     assert "lag_s" not in calibration.content()["galvo"]
+
+
+@pytest.mark.parametrize("um_per_px", IMPOSSIBLE)
+def test_optics_that_could_not_be_read_again_are_not_taken(um_per_px: float) -> None:
+    """Before: such a scale was kept, and the file that was saved with it refused."""
+    calibration = Calibration.parse(RECORD)
+    with pytest.raises(CalibrationError, match="um_per_px"):
+        calibration.with_optics(um_per_px=um_per_px)
+    changed = calibration.with_optics(um_per_px=2.5)
+    assert changed.um_per_px == 2.5
+    assert changed.optics.line_period_s == calibration.optics.line_period_s
+    assert calibration.with_optics(um_per_px=None).um_per_px is None

@@ -286,12 +286,7 @@ class Calibration(Section):
         try:
             return cls.model_validate({k: v for k, v in content.items() if k not in {*ARRAYS, ARRAYS_KEY}})
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "calibration"
-            value = "" if isinstance(first["input"], dict) else f" (value {first['input']!r:.60})"
-            raise CalibrationError(
-                f"{where}: {first['msg'].removeprefix('Value error, ')}{value}", "measure this section again"
-            ) from None
+            raise _impossible(error, "calibration") from None
 
     @property
     def um_per_px(self) -> float | None:
@@ -378,5 +373,25 @@ class Calibration(Section):
         return self.model_copy(update={"galvo": self.measured_galvo.model_copy(update=changes)})
 
     def with_optics(self, **changes: float | None) -> Calibration:
-        """Return the calibration with other values of the optics section, which is added if there is none."""
-        return self.model_copy(update={"optics": (self.optics or OpticsSection()).model_copy(update=changes)})
+        """Return the calibration with other values of the optics section, which is added if there is none.
+
+        Raises
+        ------
+        CalibrationError
+            If a value of `changes` is impossible.
+        """
+        try:
+            optics = OpticsSection.model_validate({**dict(self.optics or ()), **changes})
+        except ValidationError as error:
+            raise _impossible(error, "optics") from None
+        return self.model_copy(update={"optics": optics})
+
+
+def _impossible(error: ValidationError, section: str) -> CalibrationError:
+    """Return the error of a value that a section cannot have."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or section
+    value = "" if isinstance(first["input"], dict) else f" (value {first['input']!r:.60})"
+    return CalibrationError(
+        f"{where}: {first['msg'].removeprefix('Value error, ')}{value}", "measure this section again"
+    )

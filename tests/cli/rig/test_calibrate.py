@@ -180,6 +180,43 @@ def test_a_scale_and_a_rig_together_are_refused(elsplus: Elsplus, tmp_path: Path
     assert "--um-per-px 1.3 with --rig" in run.err
 
 
+@pytest.mark.parametrize(
+    ("option", "word"),
+    [
+        ("--line-period-s 1e-5", "line-period-s"),
+        ("--rows-per-frame 600", "rows-per-frame"),
+        ("--volts volts.csv", "volts"),
+    ],
+)
+def test_what_a_rig_states_itself_is_refused_beside_it(
+    elsplus: Elsplus, tmp_path: Path, option: str, word: str
+) -> None:
+    """Before: the option was ignored without a word."""
+    ran = elsplus("calibrate", "--rig", "simulated", *option.split(), "-o", tmp_path / "cal.json")
+    assert ran.code == 2
+    assert word in ran.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_preset_without_a_rig_is_refused(elsplus: Elsplus, open_recording: Path, tmp_path: Path) -> None:
+    """Before: it was ignored without a word."""
+    line = ("calibrate", "--line", open_recording / "line.tif", "--preset", "120hz")
+    ran = elsplus(*line, "-o", tmp_path / "cal.json")
+    assert ran.code == 2
+    assert "--preset" in ran.err
+
+
+def test_the_bundles_diameter_is_that_which_is_given_for_the_simulated_rig(
+    elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: it was ignored, and all micrometres were those of another bundle."""
+    monkeypatch.setattr("napari_elsplus.acquisition.calibrating.live.SWEEP_VOLTAGES", 24)
+    ran = elsplus("calibrate", "--rig", "simulated", "--bundle-um", 240, "-o", tmp_path / "cal.json")
+    assert ran.code == 0, ran.err
+    found = read_calibration(tmp_path / "cal.json")
+    assert found.um_per_px == pytest.approx(240 / found.measured_bundle.diameter_px)
+
+
 def test_an_unknown_rig_is_one_line(elsplus: Elsplus, tmp_path: Path) -> None:
     run = elsplus("calibrate", "--rig", "nowhere", "-o", tmp_path / "cal.json")
     assert run.code == 2

@@ -77,7 +77,12 @@ def target_placed(rig: Rig, target: Target) -> Iterator[None]:
 
 
 def calibrate_simulated(
-    rig: Rig, engine: Engine, *, voltages: int = QUICK_VOLTAGES, progress: StepProgress = lambda _: iter
+    rig: Rig,
+    engine: Engine,
+    *,
+    voltages: int = QUICK_VOLTAGES,
+    bundle_um: float = BUNDLE_UM,
+    progress: StepProgress = lambda _: iter,
 ) -> Draft:
     """Calibrate the simulated rig without a user, and place the probe onto moving lens tissue.
 
@@ -92,7 +97,7 @@ def calibrate_simulated(
 
     _require_bench(rig)
     draft = calibrate_rig(
-        engine, lambda target: place_target(rig, target), voltages=voltages, bundle_um=BUNDLE_UM, progress=progress
+        engine, lambda target: place_target(rig, target), voltages=voltages, bundle_um=bundle_um, progress=progress
     )
     place_target(rig, None)
     return draft

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import Target
 
+DEFAULT_PRESET: Final = "240hz"
 PLAIN: Final = str.maketrans({"±": "+-", "µ": "u", "°": " deg", "²": "^2", "Ø": "diameter", "\n": ", "})
 """Characters of a summary that not every terminal can print."""
 
@@ -56,7 +57,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--line-period-s", type=POSITIVE, help="Seconds from one row's readout to the next.")
 @click.option("--rows-per-frame", type=POSITIVE, help="Line periods from one frame to the next.")
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` runs unattended.")
-@click.option("--preset", type=click.Choice(list(PRESETS)), default="240hz", show_default=True, help="With --rig.")
+@click.option("--preset", type=click.Choice(list(PRESETS)), help=f"With --rig.  [default: {DEFAULT_PRESET}]")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
 @click.option(
     "--report",
@@ -66,7 +67,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 @force_option
 def command(
     rig: str | None,
-    preset: str,
+    preset: str | None,
     volts: Path | None,
     um_per_px: float | None,
     bundle_um: float | None,
@@ -84,8 +85,18 @@ def command(
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")
-        if um_per_px is not None:
-            raise InputError(f"--um-per-px {um_per_px:g} with --rig", "give the bundle's diameter, --bundle-um")
+        stated = {
+            "um-per-px": um_per_px,
+            "volts": volts,
+            "line-period-s": line_period_s,
+            "rows-per-frame": rows_per_frame,
+        }
+        for name, value in stated.items():
+            if value is not None:
+                instead = "give the bundle's diameter, --bundle-um" if value is um_per_px else "the rig states its own"
+                raise InputError(f"--{name} {value} with --rig", instead)
+    elif preset is not None:
+        raise InputError(f"--preset {preset} without --rig", "frames from files have their own size and timing")
     elif not given:
         raise InputError(
             "there is nothing to measure", f"give one of {', '.join('--' + name for name in names.values())}, or --rig"
@@ -100,7 +111,7 @@ def command(
     if report is not None:
         refuse_other_than_pdf(report)
     if rig is not None:
-        draft, setup = _live(rig, preset, bundle_um)
+        draft, setup = _live(rig, preset or DEFAULT_PRESET, bundle_um)
     else:
         draft = calibrate(
             **given,
@@ -136,10 +147,11 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
     keep_pace()
     with live_engine(rig_name, Settings(preset)) as (rig, engine):
         more: dict[str, Any] = {"progress": calibration_progress, "voltages": SWEEP_VOLTAGES}
-        if rig.bench is not None:
-            draft = calibrate_simulated(rig, engine, **more)
-        else:
-            draft = calibrate_rig(engine, confirm, bundle_um=bundle_um, **more)
+        if bundle_um is not None:
+            more["bundle_um"] = bundle_um
+        draft = (
+            calibrate_rig(engine, confirm, **more) if rig.bench is None else calibrate_simulated(rig, engine, **more)
+        )
         return draft, engine_setup(engine)
 
 

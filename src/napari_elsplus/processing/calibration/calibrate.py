@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
 
+MAX_LINE_PERIOD_S: Final = 1e-3
+"""Seconds from one row to the next at most; chosen: cameras take 5 to 100 us, and a number above is in another unit."""
 MEASURED_FIRST: Final = ("background", "pair")
 """Keys of the steps whose results the other steps use where they are known."""
 
@@ -83,6 +85,12 @@ def measure(
     if flat is not None and bundle is None:
         raise InputError("a flat field belongs to a located bundle", "give --bundle")
     optics = _optics_section(um_per_px, line_period_s, line_periods_per_frame)
+    if bundle_um is not None:
+        _require_positive("bundle_um", bundle_um)
+    if line_period_s is not None and line_period_s > MAX_LINE_PERIOD_S:
+        raise InputError(
+            f"a line period of {line_period_s:g} s", "give the seconds from one row to the next, about 1e-5"
+        )
     rows = max((frames[0].shape[0] for frames in given.values()), default=0)
     if line_periods_per_frame is not None and line_periods_per_frame < rows:
         raise InputError(
@@ -124,6 +132,10 @@ def _optics_section(
     numbers = {"um_per_px": um_per_px, "line_period_s": line_period_s, "rows_per_frame": line_periods_per_frame}
     known = {name: value for name, value in numbers.items() if value is not None}
     for name, value in known.items():
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value}", "it must be a positive number")
+        _require_positive(name, value)
     return OpticsSection(**known) if known else None
+
+
+def _require_positive(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"{name} is {value}", "it must be a positive number")
