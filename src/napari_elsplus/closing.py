@@ -29,24 +29,36 @@ class ClosedOnExit:
 
 
 @contextmanager
-def unwound_by_signals() -> Iterator[None]:
+def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
     """Within the context, let SIGTERM and SIGHUP end the program by SystemExit, so that what it holds is closed.
 
     Signals that the program ignores or handles otherwise are left alone, and so are all of them outside the main
     thread. One that arrives while the program unwinds is ignored.
+
+    Parameters
+    ----------
+    interrupts : bool
+        Ctrl-C, too, which raises KeyboardInterrupt as ever, is ignored from then on: for programs that end by it, not
+        for sessions that go on.
     """
     main = threading.current_thread() is threading.main_thread()
-    handled = [number for number in _ENDING if main and signal.getsignal(number) is signal.SIG_DFL]
+    before = {number: signal.getsignal(number) for number in (*_ENDING, signal.SIGINT)}
+    untouched = {signal.SIG_DFL, *((signal.default_int_handler,) if interrupts else ())}
+    handled = [number for number, handler in before.items() if main and handler in untouched]
+
+    restored = list(handled)
 
     def end(number: int, _: Any) -> None:
+        if interrupts:
+            restored.clear()
         for other in handled:
             signal.signal(other, signal.SIG_IGN)
-        raise SystemExit(128 + number)
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
     for number in handled:
         signal.signal(number, end)
     try:
         yield
     finally:
-        for number in handled:
-            signal.signal(number, signal.SIG_DFL)
+        for number in restored:
+            signal.signal(number, before[number])

@@ -109,7 +109,8 @@ def main(arguments: list[str] | None = None) -> None:
 def run_program(command: click.Command, name: str, arguments: list[str] | None = None) -> None:
     """Run a click command as a program and exit: 0 on success, 2 and one line for bad input, 130 when interrupted.
 
-    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed. A warning is one line, too.
+    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed, undisturbed by more of them.
+    A warning is one line, too.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def run_program(command: click.Command, name: str, arguments: list[str] | None =
     """
     atexit.register(gc.freeze)  # else the interpreter's last collection searches all that libraries hold: 0.1 s
     try:
-        with unwound_by_signals(), _warnings_in_one_line(name):
+        with unwound_by_signals(interrupts=True), _warnings_in_one_line(name):
             command.main(arguments, prog_name=name, standalone_mode=False)
     except (ElsPlusError, OSError) as error:
         _leave(f"{name}: {error_message(error)}", EXIT_BAD_INPUT)

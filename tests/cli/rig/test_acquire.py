@@ -66,7 +66,9 @@ def test_a_run_is_recorded_tracked_and_reported(calibration_file: Path, tmp_path
 
 
 @pytest.mark.skipif(os.name != "posix", reason="interrupts as POSIX does")
-def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("more_after_s", [(), (0.001, 0.02, 0.1)], ids=["once", "impatiently"])
+def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more_after_s: tuple[float, ...]) -> None:
+    """Before: a second one met the unwinding of the first, after which it recorded without end."""
     running = subprocess.Popen(
         [
             *COMMAND, "-c", str(calibration_file), "--seconds", "600", "--rate-hz", "60",
@@ -79,7 +81,13 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path) -> N
         assert time.monotonic() < end_s
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=100)
+    for pause_s in more_after_s:
+        time.sleep(pause_s)
+        running.send_signal(signal.SIGINT)
+    try:
+        _, said = running.communicate(timeout=30)
+    finally:
+        running.kill()
     assert running.returncode == 130
     assert "Traceback" not in said
     recorded = json.loads((tmp_path / "report.json").read_text())["frames"]["recorded"]

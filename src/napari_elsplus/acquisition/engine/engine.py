@@ -371,13 +371,12 @@ class Engine(ClosedOnExit):
             self._run.processing.sink = sink
 
     def _end_run(self) -> None:
-        """Park first, so that the light leaves the tissue; then end the stream."""
-        if not self._live:
+        """Park first, so that the light leaves the tissue; then end the stream, or what is left of it."""
+        if self._run is None or self._run.stopped:
             return
         self._live = False
         self.galvo.try_to_park()
         self.galvo.watch_frames(None)
-        assert self._run is not None
         self._run.stop()
         self._imaging.display.close_retired()
 

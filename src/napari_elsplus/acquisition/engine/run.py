@@ -80,6 +80,8 @@ class Run:
         self._age_s = process_age_s() - time.perf_counter()
         self._times_s: dict[str, float] = {}
         self._cpu_us_per_frame: dict[str, float] = {}
+        self.stopped = False
+        """True once :meth:`stop` has come to its end."""
 
     def start(self) -> None:
         """Begin to stream.
@@ -112,7 +114,10 @@ class Run:
         return not (self._camera_worker.is_alive() and self.processing.is_alive())
 
     def stop(self) -> None:
-        """End the stream; every frame that came has its result then, and the recorder goes on to its end."""
+        """End the stream; every frame that came has its result then, and the recorder goes on to its end.
+
+        One that was interrupted is completed by the next.
+        """
         frames = max(1, self.tally.acquired)
         self._cpu_us_per_frame = {
             name: 1e6 * (end_s - self._times_s.get(name, 0.0)) / frames for name, end_s in thread_times_s().items()
@@ -130,6 +135,7 @@ class Run:
             if worker.ident is not None:
                 worker.join()
         self._held.close()
+        self.stopped = True
 
     def record(self, plan: RecordingPlan, calibration: Calibration | None, settings: Mapping[str, Any]) -> None:
         """Begin to record by a plan, with calibration and settings in the file.

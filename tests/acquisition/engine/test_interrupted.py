@@ -1,0 +1,56 @@
+"""A stop that is interrupted half way is completed by the next, or by closing."""
+
+from __future__ import annotations
+
+import time
+from threading import Thread
+
+import pytest
+
+from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+from napari_elsplus.io import open_recording
+
+PLACES = ["galvo.try_to_park", "galvo.watch_frames", "_run._agreement.stop", "_run._camera_worker.join"]
+
+
+def interrupt_once(engine: Engine, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    *owners, name = place.split(".")
+    owner = engine
+    for attribute in owners:
+        owner = getattr(owner, attribute)
+    call, interruptions = getattr(owner, name), [KeyboardInterrupt()]
+
+    def interrupted(*arguments: object) -> object:
+        if interruptions:
+            raise interruptions.pop()
+        return call(*arguments)
+
+    monkeypatch.setattr(owner, name, interrupted)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("then", ["stop", "close"])
+def test_an_interrupted_stop_is_completed(engine: Engine, rig, tmp_path, monkeypatch, place, then) -> None:
+    """Before: the recorder was waited for, without end, while it recorded and the galvo was not parked."""
+    engine.start(scan=False)
+    engine.hold(0.2)
+    engine.record(RecordingPlan(tmp_path / "frames.ome.tif"))
+    while engine.status().recorded < 5:
+        time.sleep(0.01)
+    interrupt_once(engine, place, monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        engine.stop()
+
+    def end() -> None:
+        getattr(engine, then)()
+        engine.finish_recording()
+
+    ending = Thread(target=end, daemon=True)
+    ending.start()
+    ending.join(10)
+    assert not ending.is_alive()
+    assert rig.scanner.park_state.parked
+    assert not rig.camera.streams
+    with open_recording(tmp_path / "frames.ome.tif") as recording:
+        assert len(recording) >= 5
