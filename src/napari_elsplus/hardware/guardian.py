@@ -222,12 +222,13 @@ class Guardian:
         Raises
         ------
         DeviceError
-            If the guardian is gone or does not answer, and another is not on guard yet.
+            If no other guardian comes in the time in which one that is gone is replaced.
         """
-        if not self.on_guard:
-            raise DeviceError(
-                "the galvo has no guardian now", "start again when the faults say that another is on guard"
-            )
+        end_s = time.monotonic() + REPLACE_WITHIN_S
+        while not self.on_guard:
+            if time.monotonic() > end_s:
+                raise DeviceError("the galvo has no guardian", "start again when the faults say that one is on guard")
+            time.sleep(POLL_S / 2)
 
     def on_report(self, callback: Callable[[DeviceError], None]) -> None:
         """Call `callback` with every later report, in the thread that supervises."""
@@ -284,9 +285,9 @@ class Guardian:
                 new = self._process = GuardianProcess(self._order)
         except DeviceError:  # the next check tries again
             self._lost(self._report(parked))
+            self._dismissed.wait(REPLACE_WITHIN_S)
             return
-        ready = new.wait_until_ready(max(0.0, begun_s + REPLACE_WITHIN_S - time.monotonic()))
-        if ready:
+        if new.wait_until_ready(max(0.0, begun_s + REPLACE_WITHIN_S - time.monotonic())):
             took_s = time.monotonic() - begun_s
             self._report(f"the galvo's guardian {why}; another was on guard {took_s:.1f} s later")
             return
