@@ -15,7 +15,7 @@ import tifffile
 
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.instrument.optics import preset
-from napari_elsplus.io import open_recording, read_track, write_calibration
+from napari_elsplus.io import open_recording, read_calibration, read_track, write_calibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -94,6 +94,42 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
     with open_recording(tmp_path / "r.ome.tif") as recording:
         assert len(recording) == recorded >= 10
         assert recording.metadata["settings"]["rig"] == "simulated"
+
+
+@pytest.mark.parametrize(
+    ("lacking", "said"),
+    [
+        ("lag_s", "scan lag not measured: the image is off the slit"),
+        ("galvo", "the galvo stayed parked and frames are"),
+    ],
+)
+def test_what_keeps_the_images_from_being_right_is_noted(
+    elsplus: Callable[..., Any], calibration_file: Path, tmp_path: Path, lacking: str, said: str
+) -> None:
+    """Before: dark frames, or frames off the slit, were recorded and tracked without a word."""
+    known = read_calibration(calibration_file)
+    less = known.model_copy(update={"galvo": None}) if lacking == "galvo" else known.with_galvo(lag_s=None)
+    write_calibration(tmp_path / "less.json", less)
+    files = ("--report", tmp_path / "report.json", "--track", tmp_path / "track.csv")
+    run = elsplus("acquire", "-c", tmp_path / "less.json", "--seconds", 0.5, *files)
+    assert run.code == 0, run.err
+    assert f"note: {said}" in run.out
+    assert "frames tracked in" in run.out
+    assert any(said in note for note in json.loads((tmp_path / "report.json").read_text())["notes"])
+    run = elsplus("acquire", "-c", calibration_file, "--seconds", 0.5, "--report", tmp_path / "right.json")
+    assert json.loads((tmp_path / "right.json").read_text())["notes"] == []
+
+
+def test_a_run_that_did_not_begin_leaves_no_report(
+    elsplus: Callable[..., Any], calibration_file: Path, tmp_path: Path
+) -> None:
+    """Before: the corrected command was refused because of it."""
+    known = read_calibration(calibration_file)
+    wider = known.model_copy(update={"bundle": known.measured_bundle.model_copy(update={"diameter_px": 523.0})})
+    write_calibration(tmp_path / "wider.json", wider)
+    run = elsplus("acquire", "-c", tmp_path / "wider.json", "--seconds", 0.5, "--report", tmp_path / "report.json")
+    assert run.code == 2
+    assert not (tmp_path / "report.json").exists()
 
 
 @pytest.mark.parametrize(

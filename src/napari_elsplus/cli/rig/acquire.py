@@ -16,13 +16,16 @@ from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.priority import keep_pace
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.instrument.scanning import dark_advice, lag_advice
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.acquisition.engine.status import Status
-    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io import TrackPoint
     from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1
@@ -90,23 +93,28 @@ def command(
             engine.track(tracker)
             engine.show(LiveView(modes=frozenset()))  # nobody looks at other images than the mosaic
         gc.freeze()  # also what the calibration and the track have allocated
+        engine.start()
+        if record is not None:
+            engine.record(RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force))
         try:
-            _stream(
-                engine, seconds, None if record is None else RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force)
-            )
+            _stream(engine, seconds)
+        except KeyboardInterrupt:
+            if record is not None:
+                click.echo(f"the frames until now are kept in {record}", err=True)
+            raise
         finally:
             engine.stop()
             engine.finish_recording()
             status = engine.status()
-            write_json(report, status.report(), indent=1, force=force)
+            remarks = list(notes(status, engine.calibration))
+            write_json(report, {**status.report(), "notes": remarks}, indent=1, force=force)
         if tracker is not None:
             tracker.settle()
             _write(tracker.pipeline, engine, mosaic, track, force)
+            remarks.insert(0, tracked(tracker.pipeline.rows))
     click.echo(summary(status))
-    if status.notice:
-        click.echo(f"note: {status.notice}")
-    if status.disagreement:
-        click.echo(f"note: {status.disagreement}")
+    for remark in remarks:
+        click.echo(f"note: {remark}")
     parking = rig.scanner.park_state  # after closing
     if parking.stage is ParkStage.NOT_PARKED:
         raise DeviceError(parking.message, "keep it off until the galvo is parked")
@@ -114,11 +122,8 @@ def command(
         raise InputError(status.faults[0].problem, status.faults[0].remedy)
 
 
-def _stream(engine: Engine, seconds: float, plan: RecordingPlan | None) -> None:
+def _stream(engine: Engine, seconds: float) -> None:
     """Stream for some seconds, counted from the first frame."""
-    engine.start()
-    if plan is not None:
-        engine.record(plan)
     while engine.status().live and not engine.status().acquired:
         time.sleep(_STEP_S / 10)
     end_s = time.monotonic() + seconds
@@ -140,6 +145,30 @@ def _write(pipeline: Pipeline, engine: Engine, mosaic: Path | None, track: Path 
     if mosaic is not None:
         image = montage(list(pipeline.mosaics.values()))
         write_mosaic(mosaic, image, ImageMetadata(um_per_px=pipeline.um_per_px, calibration=calibration), force=force)
+
+
+def notes(status: Status, calibration: Calibration) -> Iterator[str]:
+    """Yield what else there is to know of a run by its status and calibration: why images are not what they should be.
+
+    Parameters
+    ----------
+    status : Status
+        At its end.
+    calibration : Calibration
+        By which it scanned.
+    """
+    lag = lag_advice(calibration)
+    yield from filter(None, (status.notice, status.disagreement, dark_advice(calibration)))
+    if lag:
+        yield f"{lag}; `calibrate --rig` and the Calibration panel measure it"
+    for section, reason in status.stale.items():
+        yield f"the calibration's {section} may not hold: {reason}"
+
+
+def tracked(rows: Sequence[TrackPoint]) -> str:
+    """Return the number of tracked frames among the rows of a track, in words."""
+    segments = [row.segment for row in rows if row.state == "tracked"]
+    return f"{len(segments)} of {len(rows)} frames tracked in {len(set(segments))} segments"
 
 
 def summary(status: Status) -> str:

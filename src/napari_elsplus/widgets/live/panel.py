@@ -11,12 +11,12 @@ from napari.utils.notifications import show_info
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.rig_files import is_simulated
+from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
-from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors, problems

@@ -14,11 +14,12 @@ from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
+from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import active_calibration, recall, remember, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
-from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_advice, lag_button
+from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_button
 from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save

@@ -10,6 +10,7 @@ from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
+from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
@@ -22,7 +23,6 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
-from napari_elsplus.widgets.shared.calibration_state import lag_advice
 from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from magicgui.widgets import PushButton
 
+from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import LAG
 
@@ -23,19 +24,6 @@ AMBER: Final = "#e69f00"
 def amber(text: str) -> str:
     """Return rich text of a warning, in bold amber."""
     return f"<b style='color:{AMBER}'>{text}</b>"
-
-
-def lag_advice(calibration: Calibration | None) -> str:
-    """Return a warning if the scan lag of a calibration was not measured; else an empty string.
-
-    Parameters
-    ----------
-    calibration : Calibration or None
-        The active calibration.
-    """
-    if calibration is None or calibration.galvo is None or calibration.galvo.lag_s is not None:
-        return ""
-    return "scan lag not measured: the image is off the slit"
 
 
 def calibration_name(calibration: Calibration | None, file: Path | None) -> str:
