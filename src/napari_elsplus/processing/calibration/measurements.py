@@ -20,10 +20,10 @@ from napari_elsplus.processing.calibration.bundle.view_alignment import align_vi
 from napari_elsplus.processing.calibration.frame_regions import (
     brightest,
     column_between_views,
-    largest_level,
     mean_frame,
     saturated_share,
     unlit_pixels,
+    white_level,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
 from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
@@ -175,7 +175,7 @@ def measure_pair(frames: Frames) -> BundlePair:
     frame = mean_frame(frames)
     share = saturated_share(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
     confocal, residual = bundles.locate_pair(frame)
-    saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
+    saturated = frame >= SATURATION_LEVEL * white_level(frames[0])
     alignment = align_views(frame, confocal, residual, saturated)
     light, side = frame - darkness(frame, (confocal.circle, residual.circle)), ceil(confocal.diameter_px)
     inside = disc(side, confocal.diameter_px) & within_frame(crop_to_frame(confocal.centre, side), side, frame.shape)

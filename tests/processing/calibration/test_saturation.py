@@ -1,0 +1,70 @@
+"""Saturated frames are found whatever container they are in, and spoil no number that is stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.rigs.random_rigs import Rig
+from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.frame_regions import white_level
+
+RIG = Rig(left=(112.0, 103.0), right=(98.4, 318.7), diameter_px=190.0, tilt_deg=0.5, gain=0.87)
+
+
+def camera(
+    electrons: np.ndarray, count: int = 1, *, peak: float = 120.0, bits: int = 8, shift: int = 0, seed: int = 1
+) -> np.ndarray:
+    """Frames (count, rows, cols) of a camera that clips, of 8 bits in uint8, of more in uint16, shifted to the left.
+
+    `peak` are the grey levels of the brightest pixel of an evenly lit bundle.
+    """
+    random, per_dn = np.random.default_rng(seed), RIG.photons / peak
+    seen = random.poisson(np.repeat(electrons[None], count, axis=0)) + random.normal(0, 4, (count, *electrons.shape))
+    levels = np.clip(np.rint(seen / per_dn) + 5, 0, 2**bits - 1)
+    return levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16) << shift
+
+
+@pytest.mark.parametrize(("bits", "shift"), [(8, 0), (10, 0), (12, 0), (12, 4), (14, 2), (16, 0)])
+def test_saturated_frames_are_refused_whatever_the_container(bits: int, shift: int) -> None:
+    """Only the container's largest level counted: 12 bits in 16 never reach it."""
+    white = (2**bits - 1) << shift
+    bundle = camera(RIG.lit_from_far_end(), 2, peak=1.5 * 2**bits, bits=bits, shift=shift)
+    assert white_level(bundle[0]) == white
+    with pytest.raises(MeasurementError, match=rf"the image of the bundle is saturated \(grey level {white}\)"):
+        measure(bundle=bundle)
+    line = camera(RIG.lit_by_line(1.3), 2, peak=8 * 2**bits, bits=bits, shift=shift)
+    with pytest.raises(MeasurementError, match="the image of the line is saturated"):
+        measure(line=line)
+
+
+@pytest.mark.parametrize(("bits", "shift"), [(8, 0), (12, 0), (12, 4), (16, 0)])
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_ordinary_frames_are_not_saturated(bits: int, shift: int, share: float) -> None:
+    bundle = camera(RIG.lit_from_far_end(), 2, peak=share * 2**bits, bits=bits, shift=shift)
+    line = camera(RIG.lit_by_line(1.3), 2, peak=share * 2**bits, bits=bits, shift=shift)
+    found = measure(bundle=bundle, line=line)
+    assert found.pair is not None
+    assert found.pair.saturated == 0
+    assert found.calibration.flat is not None
+
+
+@pytest.mark.parametrize("top", [255, 1023, 4095])
+@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.float32])
+def test_the_brightest_pixels_of_a_bundle_are_not_saturated_where_they_happen_to_end_a_range(
+    top: int, dtype: type
+) -> None:
+    """A bright bundle's histogram falls towards its largest level; a clipped one's ends in a pile."""
+    levels = RIG.lit_from_far_end()
+    bright = np.minimum(np.rint(levels * (1.02 * top / levels.max())), top + 1000)
+    scaled = np.rint(bright * (top / bright.max())).astype(dtype)
+    assert scaled.max() == top
+    assert white_level(scaled) > top
+    clipped = np.minimum(np.rint(1.5 * levels * (top / levels.max())), top).astype(dtype)
+    assert white_level(clipped) == top
+
+
+@pytest.mark.parametrize("frame", [np.zeros((9, 9)), np.full((9, 9), np.nan), np.zeros((0, 4)), np.ones((9, 9), bool)])
+def test_frames_of_anything_have_a_level_of_white(frame: np.ndarray) -> None:
+    assert white_level(frame) == np.inf
