@@ -69,20 +69,18 @@ def _finite(frame: Image, dtype: np.dtype[Any]) -> Image:
     return frame
 
 
-def brightest(frames: Frames, background: Image | None) -> Image:
-    """Return the brightest value of each pixel over a sweep: an image of the bundle.
+def brightest(frames: Frames) -> NDArray[Any]:
+    """Return the brightest value of each pixel over a sweep: an image of the bundle in the frames' dtype.
 
     Parameters
     ----------
     frames : sequence of numpy.ndarray
         Raw frames (rows, cols); about 100 of them are used.
-    background : numpy.ndarray, optional
-        Mean frame of the dark tube, (rows, cols), which is taken off.
     """
     painted = np.array(frames[0])
     for number in range(1, len(frames), max(1, len(frames) // 100)):
         np.maximum(painted, frames[number], out=painted)  # in the camera's numbers, which compare fastest
-    return np.subtract(painted, 0 if background is None else background, dtype=np.float32)
+    return painted
 
 
 def column_between_views(frame: Image) -> int:

@@ -26,6 +26,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     white_level,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
+from napari_elsplus.processing.calibration.line.clipping import IN_PLACE, MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -137,26 +138,30 @@ def map_galvo(
     """
     if len(volts) != len(frames):
         raise InputError(f"{len(volts)} voltages for {len(frames)} frames of the sweep", "give one voltage per frame")
-    painted = brightest(frames, background)
+    seen = brightest(frames)
+    white, painted = white_level(seen), np.subtract(seen, 0 if background is None else background, dtype=np.float32)
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=[] if pair is None else pair.discs)
     reference, place = RowReference(dark, background), pair or offset
     collector = None if place is None else LightCollector(painted.shape, place.split, place.view_offset)
     max_chord_px = MAX_CHORD * (split - float(dark[0, :split].sum()) if pair is None else pair.confocal.diameter_px)
     every, noisy = -(-len(frames) // LIT_FRAMES), reference.some_show_noise(frames)
-    lines = []
+    lines, clipped = [], 0
     for number in progress(range(len(frames))):
-        frame = reference.without_row_noise(frames[number]) if noisy else frames[number]
+        raw = frames[number]
+        frame = reference.without_row_noise(raw) if noisy else raw
         line = visible_line(frame[:, :split], None if background is None else background[:, :split])
         lines.append(line)
-        if collector is None or line is None or number % every:
+        if collector is None or place is None or line is None or number % every or line.length_px > max_chord_px:
             continue
-        if line.length_px <= max_chord_px:
+        if max(clipped_share(raw, white, line, each) for each in (IN_PLACE, place.view_offset)) > MAX_CLIPPED_CORE:
+            clipped += 1
+        else:
             row = line.row - line.bow * line.mean_square_px
             collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
     found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
-    return found if collector is None else replace(found, light=collector.swept(dark, background))
+    return found if collector is None else replace(found, light=collector.swept(dark, background, clipped))
 
 
 def measure_pair(frames: Frames) -> BundlePair:

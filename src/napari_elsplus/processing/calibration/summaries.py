@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
+from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DISAGREEMENT, LAMP_GAIN, laser_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import BundleSection
+    from napari_elsplus.processing.calibration.bundle.laser_gain import SweptLight
     from napari_elsplus.processing.calibration.bundle.location import Disc
     from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
@@ -90,6 +91,8 @@ def summarize_galvo(galvo: GalvoMap, draft: Draft, setup: Setup) -> StepSummary:
         )
     if galvo.curved:
         warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
+    if galvo.light is not None and galvo.light.clipped:
+        warnings.append(_clipped_lines(galvo.light))
     if frames < PAPER_VOLTAGES:
         warnings.append(f"{frames} voltages; the paper takes at least {PAPER_VOLTAGES}")
     per_row = with_uncertainty(1e3 * galvo.volts_per_row, 1e3 * galvo.volts_per_row_uncertainty)
@@ -114,6 +117,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     else:
         lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
     lines.append(_gain_text(known.bundle, alignment))
+    warnings += _doubtful_gain(draft, pair)
     if known.gain_map is not None:
         spread = float(known.gain_map.std())
         lines.append(f"gain map: {100 * spread:.1f} % over the field")
@@ -173,6 +177,31 @@ def _gain_text(bundle: BundleSection | None, alignment: Alignment) -> str:
         return f"gain of the residual view {by_lamp}; the fluorescence's may differ by {100 * LAMP_GAIN:g} %"
     in_laser_light = with_uncertainty(bundle.residual_gain, bundle.residual_gain_uncertainty or 0.0)
     return f"gain of the residual view {in_laser_light} in the light of the sweep, {by_lamp}"
+
+
+def _clipped_lines(light: SweptLight) -> str:
+    """Return how many lines of a sweep are saturated, what becomes of the residual view's gain, and the remedy."""
+    what = (
+        "so that it gives no gain of the residual view: the lamp's stays"
+        if light.mostly_clipped
+        else ("which are left out of the gain of the residual view")
+    )
+    return (
+        f"the line is saturated in {light.clipped} of {light.clipped + len(light.lines)} frames of the sweep, {what}; "
+        "lower the laser's power, the exposure or the gain"
+    )
+
+
+def _doubtful_gain(draft: Draft, pair: BundlePair) -> list[str]:
+    """Return a warning where the gains by sweep and lamp differ by more than their spectra do."""
+    light, lamp = None if draft.galvo is None else draft.galvo.light, pair.alignment.gain
+    found = None if light is None else laser_gain(light, in_lamp_light(draft.calibration, pair))
+    if found is None or abs(found[0] / lamp - 1) <= DOUBTFUL_DISAGREEMENT:
+        return []
+    return [
+        f"the gain of the residual view is {found[0]:.3f} in the light of the sweep, {lamp:.3f} in the lamp's: is a "
+        "view saturated, out of focus or partly blocked in one of the recordings? Record both again"
+    ]
 
 
 def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:
