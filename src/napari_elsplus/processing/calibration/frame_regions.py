@@ -13,7 +13,7 @@ from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,6 +26,8 @@ EXACT_FLOAT32: Final = 2**24
 """Up to which float32 holds every integer; derived from its 24 bits of mantissa."""
 LINE_MARGIN_PX: Final = 40
 """Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
+SAMPLED_FRAMES: Final = 8
+"""In which saturation is searched; chosen: light that changes in a recording shows in one of them."""
 CAMERA_BITS: Final = range(8, 17)
 """Of a camera's grey levels, which may be fewer than those of its frames' dtype; chosen: those of cameras on sale."""
 MIN_PILE_PX: Final = 10
@@ -126,15 +128,33 @@ def unlit_pixels(
     return dark_columns(image if background is None else image - background)
 
 
-def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED) -> float:
-    """Return the saturated share of a frame.
+def sampled(frames: Frames) -> Iterator[NDArray[Any]]:
+    """Yield the first, the last and some frames between, in which saturation is searched.
 
     Parameters
     ----------
-    frame : numpy.ndarray
-        (rows, cols), any real dtype.
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+
+    Examples
+    --------
+    >>> [int(frame[0, 0]) for frame in sampled(np.arange(50).reshape(50, 1, 1))]
+    [0, 7, 14, 21, 28, 35, 42, 49]
+    """
+    count = min(len(frames), SAMPLED_FRAMES)
+    for number in range(count):
+        yield np.asarray(frames[number * (len(frames) - 1) // max(count - 1, 1)])
+
+
+def saturated_share(frames: Frames, name: str, limit: float = MAX_SATURATED) -> float:
+    """Return the saturated share of the frame that is saturated most, of some frames.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols), any real dtype.
     name : str
-        Of what it shows, for the error.
+        Of what they show, for the error.
     limit : float
         Largest share.
 
@@ -143,10 +163,8 @@ def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED
     MeasurementError
         If it exceeds the limit.
     """
-    white = white_level(frame)
-    if not np.isfinite(white):
-        return 0.0
-    share = np.count_nonzero(frame == white) / frame.size
+    whites = ((frame, white_level(frame)) for frame in sampled(frames))
+    share, white = max((np.count_nonzero(frame == white) / frame.size, white) for frame, white in whites)
     if share > limit:
         raise MeasurementError(
             f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"

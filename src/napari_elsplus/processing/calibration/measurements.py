@@ -21,6 +21,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     brightest,
     column_between_views,
     mean_frame,
+    sampled,
     saturated_share,
     unlit_pixels,
     white_level,
@@ -45,6 +46,8 @@ MAX_SATURATED_BUNDLE: Final = 0.05
 """Largest saturated share of the bundle's image; chosen: saturated pixels are left out of the gain."""
 SATURATION_LEVEL: Final = 0.98
 """Share of the largest grey level; chosen: reached by the mean of a pixel that is saturated in most frames."""
+SATURATED_FRAMES: Final = 0.5
+"""Share of the frames in which such a pixel is saturated; chosen, for light that changes while it is taken."""
 MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
 MAX_CHORD: Final = 1.1
@@ -87,7 +90,7 @@ def measure_background(frames: Frames) -> Background:
         If more than 1 % is saturated, or the level drifts by more than 5 %.
     """
     mean, drift = mean_frame(frames), _drift(frames, "background")
-    saturated_share(frames[0], "background")
+    saturated_share(frames, "background")
     return Background(mean, len(frames), drift)
 
 
@@ -178,9 +181,11 @@ def measure_pair(frames: Frames) -> BundlePair:
         If there are not two bundle images that show the same cores, or the level drifts by more than 5 %.
     """
     frame = mean_frame(frames)
-    share = saturated_share(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
+    share = saturated_share(frames, "image of the bundle", MAX_SATURATED_BUNDLE)
     confocal, residual = bundles.locate_pair(frame)
-    saturated = frame >= SATURATION_LEVEL * white_level(frames[0])
+    whites = [(each, white_level(each)) for each in sampled(frames)]
+    often = np.mean([each >= white for each, white in whites], axis=0) >= SATURATED_FRAMES
+    saturated = often | (frame >= SATURATION_LEVEL * min(white for _, white in whites))
     alignment = align_views(frame, confocal, residual, saturated)
     light, side = frame - darkness(frame, (confocal.circle, residual.circle)), ceil(confocal.diameter_px)
     inside = disc(side, confocal.diameter_px) & within_frame(crop_to_frame(confocal.centre, side), side, frame.shape)
@@ -213,7 +218,7 @@ def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
     """
     bundle = calibration.measured_bundle
     frame = mean_frame(frames)
-    saturated_share(frames[0], "flat field")
+    saturated_share(frames, "flat field")
     _drift(frames, "flat field")
     sectioner = Sectioner(calibration, frame.shape)
     image = sectioner.ls(frame)

@@ -13,6 +13,7 @@ from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DIS
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE
 from napari_elsplus.processing.calibration.sections import in_lamp_light, structure_of_flat_field
 from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
@@ -60,6 +61,11 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
         headline += f"\n{with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)} µm"
     if cost > slit_rows / 2:
         warnings.append(f"the tilt costs more than half the slit of {slit_rows:g} rows: turn the line level")
+    if offset.clipped > MAX_CLIPPED_CORE:
+        warnings.append(
+            f"{100 * offset.clipped:.0f} % of the line's core is saturated: core and halo are not measured; "
+            "lower the laser's power, the exposure or the gain"
+        )
     if abs(offset.rows) < slit_rows:
         warnings.append("the offset is smaller than the slit: the residual contains most of the signal")
     tilt = with_uncertainty(line.tilt_deg, line.tilt_uncertainty_deg)
