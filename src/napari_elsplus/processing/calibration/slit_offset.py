@@ -130,6 +130,11 @@ def measure_offset(
         try:
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
+            if dark is not None and _shows_line(frame[:, part]):
+                raise MeasurementError(
+                    f"{name} view: the laser line does not stand out of the background",
+                    "is the background that of a dark tube?",
+                ) from None
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
     clipped = max(clipped_share(each, white_level(each), lines[0]) for each in sampled(frames))
     found = replace(_of_lines(lines[0], lines[1], split, pair), clipped=clipped)
@@ -146,6 +151,15 @@ def measure_offset(
     unsteady_rows = common_scatter_rows(shifts)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
+
+
+def _shows_line(view: NDArray[np.generic]) -> bool:
+    """Return True if a line is located in a view with its background."""
+    try:
+        locate_line(view)
+    except MeasurementError:
+        return False
+    return True
 
 
 def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
+from napari_elsplus.processing.calibration.bundle.gain import mean_light
 from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DISAGREEMENT, LAMP_GAIN, laser_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 MAX_GAIN_SPREAD: Final = 0.125
 """Standard deviation of the gain map, relative to its mean, above which a warning is given; measured: 0.09 with 10 %
 from core to core and 10 % of vignette, 0.17 where a laser scanned fibres."""
+
+MAX_BACKGROUND_LIGHT: Final = 0.25
+"""Light of a background in the bundle, over that from its far end, above which a warning is given; measured: 0.016 to
+0.03 in dark tubes of eight rigs; the bundle lit from its far end has 1."""
 
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
@@ -263,10 +268,27 @@ def _add_ramp(ramp: LearnedRamp, lines: list[str], warnings: list[str]) -> None:
         )
 
 
-def summarize_background(background: Background, _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a background: its mean level and drift; see :class:`CalibrationStep`."""
+def summarize_background(background: Background, draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a background: its level and drift, light that is none of a dark tube; see :class:`CalibrationStep`.
+
+    Autofluorescence and reflections of the fibres' faces are light of a dark tube.
+    """
     lines = [f"{background.frames} frames, drift {100 * background.drift:.2f} %, less than 1 % saturated"]
-    return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines)
+    warnings, pair = [], draft.pair
+    if background.line_row is not None:
+        warnings.append(
+            f"a line stands in the background, at row {background.line_row:.0f}: is this the dark tube, the line "
+            "scanning? Record it again"
+        )
+    if pair is not None and pair.image.shape == background.mean.shape:
+        share = mean_light(background.mean, pair.discs) / max(mean_light(pair.image, pair.discs), 1e-9)
+        lines.append(f"light in the bundle {100 * share:.1f} % of that from its far end")
+        if share > MAX_BACKGROUND_LIGHT:
+            warnings.append(
+                f"the bundle is {100 * share:.0f} % as bright in the background as lit from its far end: is this the "
+                "dark tube, the lamp off? Record it again"
+            )
+    return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines, warnings)
 
 
 def summarize_flat_field(flat: NDArray[np.float32], draft: Draft, _setup: Setup) -> StepSummary:
