@@ -13,7 +13,7 @@ from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,6 +26,15 @@ EXACT_FLOAT32: Final = 2**24
 """Up to which float32 holds every integer; derived from its 24 bits of mantissa."""
 LINE_MARGIN_PX: Final = 40
 """Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
+SAMPLED_FRAMES: Final = 8
+"""In which saturation is searched; chosen: light that changes in a recording shows in one of them."""
+CAMERA_BITS: Final = range(8, 17)
+"""Of a camera's grey levels, which may be fewer than those of its frames' dtype; chosen: those of cameras on sale."""
+MIN_PILE_PX: Final = 10
+"""Pixels at the largest level of a clipped frame; chosen: of fewer, no number that is measured suffers."""
+PILE: Final = 2.0
+"""Least ratio of the pixels at the largest level to those at the next one of a clipped frame; chosen: a histogram that
+is not clipped falls towards its end, one that is clipped collects there whatever exceeds it."""
 
 
 def mean_frame(frames: Frames) -> Image:
@@ -62,20 +71,18 @@ def _finite(frame: Image, dtype: np.dtype[Any]) -> Image:
     return frame
 
 
-def brightest(frames: Frames, background: Image | None) -> Image:
-    """Return the brightest value of each pixel over a sweep: an image of the bundle.
+def brightest(frames: Frames) -> NDArray[Any]:
+    """Return the brightest value of each pixel over a sweep: an image of the bundle in the frames' dtype.
 
     Parameters
     ----------
     frames : sequence of numpy.ndarray
         Raw frames (rows, cols); about 100 of them are used.
-    background : numpy.ndarray, optional
-        Mean frame of the dark tube, (rows, cols), which is taken off.
     """
     painted = np.array(frames[0])
     for number in range(1, len(frames), max(1, len(frames) // 100)):
         np.maximum(painted, frames[number], out=painted)  # in the camera's numbers, which compare fastest
-    return np.subtract(painted, 0 if background is None else background, dtype=np.float32)
+    return painted
 
 
 def column_between_views(frame: Image) -> int:
@@ -121,15 +128,33 @@ def unlit_pixels(
     return dark_columns(image if background is None else image - background)
 
 
-def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED) -> float:
-    """Return the saturated share of a frame.
+def sampled(frames: Frames) -> Iterator[NDArray[Any]]:
+    """Yield the first, the last and some frames between, in which saturation is searched.
 
     Parameters
     ----------
-    frame : numpy.ndarray
-        (rows, cols), any real dtype.
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+
+    Examples
+    --------
+    >>> [int(frame[0, 0]) for frame in sampled(np.arange(50).reshape(50, 1, 1))]
+    [0, 7, 14, 21, 28, 35, 42, 49]
+    """
+    count = min(len(frames), SAMPLED_FRAMES)
+    for number in range(count):
+        yield np.asarray(frames[number * (len(frames) - 1) // max(count - 1, 1)])
+
+
+def saturated_share(frames: Frames, name: str, limit: float = MAX_SATURATED) -> float:
+    """Return the saturated share of the frame that is saturated most, of some frames.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols), any real dtype.
     name : str
-        Of what it shows, for the error.
+        Of what they show, for the error.
     limit : float
         Largest share.
 
@@ -138,15 +163,47 @@ def saturated_share(frame: NDArray[Any], name: str, limit: float = MAX_SATURATED
     MeasurementError
         If it exceeds the limit.
     """
-    white = largest_level(frame)
-    if not np.isfinite(white):
-        return 0.0
-    share = np.count_nonzero(frame == white) / frame.size
+    whites = ((frame, white_level(frame)) for frame in sampled(frames))
+    share, white = max((np.count_nonzero(frame == white) / frame.size, white) for frame, white in whites)
     if share > limit:
         raise MeasurementError(
             f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
         )
     return share
+
+
+def white_level(frame: NDArray[Any]) -> float:
+    """Return the grey level at which a frame is saturated: of the camera's bits where pixels pile up, or of the dtype.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        Raw frame (rows, cols), any real dtype; 10 to 14 bits in a container of 16 may be shifted to its left.
+
+    Returns
+    -------
+    float
+        Infinity for floats that do not pile up.
+
+    Examples
+    --------
+    >>> ramp = np.arange(6000, dtype=np.uint16).reshape(60, 100)
+    >>> white_level(ramp), white_level(np.minimum(ramp, 4095))
+    (65535.0, 4095.0)
+    """
+    largest = largest_level(frame)
+    if largest < 2**CAMERA_BITS.start:
+        return largest
+    top = float(np.max(frame, initial=0))
+    ends = {2.0**bits - 1 for bits in CAMERA_BITS} | {2.0**16 - 2.0 ** (16 - bits) for bits in CAMERA_BITS}
+    if top >= largest or top not in ends:
+        return largest
+    at_top = frame == top
+    pile = np.count_nonzero(at_top)
+    if pile < MIN_PILE_PX:
+        return largest
+    following = np.max(frame, where=~at_top, initial=0)
+    return top if pile > PILE * np.count_nonzero(frame == following) else largest
 
 
 def largest_level(frame: NDArray[Any]) -> float:

@@ -32,14 +32,15 @@ if TYPE_CHECKING:
 PAPER_VOLTAGES: Final = 400
 """Least number of voltages in the paper's sweep."""
 MIN_LINES: Final = 5
-"""Chosen: fewer leave too little over to tell scatter from a curve."""
+"""Different voltages of lines; chosen: fewer leave too little over to tell scatter from a curve."""
 MIN_CHORD: Final = 0.7
 """Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
 MIN_BEND_SIGMAS: Final = 3.0
 """Standard deviations below which the line counts as straight, and the sweep as symmetrical about its middle; chosen:
 one in 400 exceeds them by chance."""
-MAX_VOLTS, MIN_SWEEP_V = 1e3, 1e-6
-"""In volts; chosen: far beyond the drive of any galvo, and far below one step of its card."""
+MAX_VOLTS, MIN_SWEEP_V = 20.0, 1e-6
+"""In volts; chosen: twice what the drivers of galvos take, by which millivolts are told, and far below one step of a
+card."""
 OUTLIER_SIGMAS: Final = 5.0
 """Robust standard deviations; chosen: a line of a good sweep exceeds them once in a million."""
 RUNS: Final = 20
@@ -47,7 +48,7 @@ RUNS: Final = 20
 PRIOR_LINES: Final = 4
 """Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
 _MAX_DEGREE: Final = 3
-"""Of the polynomial that tells whether the galvo is curved; fewer than six lines leave a lower one."""
+"""Of the polynomial that tells whether the galvo is curved; fewer than six different voltages leave a lower one."""
 _NEIGHBOURS: Final = 4
 """Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
 RUNS_FREEDOM: Final = 6
@@ -174,7 +175,7 @@ def fit_galvo(
     InputError
         If the numbers of voltages and frames differ, or a voltage is not finite.
     MeasurementError
-        If too few frames show a line, or the line does not move with the voltage.
+        If too few frames or voltages show a line, or the line does not move with the voltage.
     """
     volts = np.asarray(volts, np.float64)
     if volts.ndim != 1 or len(volts) != len(lines):
@@ -198,6 +199,11 @@ def fit_galvo(
     v = np.array([voltage for voltage, _ in whole])
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
+    if (different := _different(v)) < MIN_LINES:
+        raise MeasurementError(
+            f"the {len(whole)} frames with a line have {different} different voltages, {MIN_LINES} are needed",
+            "sweep more voltages",
+        )
     radius_px = (longest if diameter_px is None else diameter_px) / 2
     bow = _common_bow(v, [line for _, line in whole], column, radius_px)
     rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
@@ -251,14 +257,25 @@ def _place(volts: Floats) -> Floats:
 
 
 def _polynomial(x: Floats) -> Floats:
-    """Return the terms of a cubic, or of less for few lines, at places `x` of the sweep, shape (lines, terms)."""
-    degree = int(np.clip(len(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
+    """Return the terms of a cubic, or of less for few voltages, at places `x` of the sweep, shape (lines, terms)."""
+    degree = int(np.clip(_different(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
     return np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
+
+
+def _ranks(values: Floats) -> NDArray[np.intp]:
+    """Return the place of each voltage in the order of the different ones, from 0."""
+    return np.unique(np.round(values / MIN_SWEEP_V), return_inverse=True)[1]
+
+
+def _different(values: Floats) -> int:
+    """Return the number of different voltages, or of places of the sweep."""
+    return int(_ranks(values).max()) + 1
 
 
 def _runs(volts: Floats) -> NDArray[np.intp]:
     """Return the run of neighbouring voltages to which each belongs."""
-    return np.argsort(np.argsort(volts)) * RUNS // len(volts)
+    rank = _ranks(volts)
+    return np.asarray(rank * RUNS // (rank.max() + 1), np.intp)
 
 
 def _covariance(jacobian: Floats, left_over: Floats, removed: Floats, runs: NDArray[np.intp]) -> Floats:

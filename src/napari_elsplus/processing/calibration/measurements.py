@@ -20,12 +20,14 @@ from napari_elsplus.processing.calibration.bundle.view_alignment import align_vi
 from napari_elsplus.processing.calibration.frame_regions import (
     brightest,
     column_between_views,
-    largest_level,
     mean_frame,
+    sampled,
     saturated_share,
     unlit_pixels,
+    white_level,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
+from napari_elsplus.processing.calibration.line.clipping import IN_PLACE, MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -44,8 +46,22 @@ MAX_SATURATED_BUNDLE: Final = 0.05
 """Largest saturated share of the bundle's image; chosen: saturated pixels are left out of the gain."""
 SATURATION_LEVEL: Final = 0.98
 """Share of the largest grey level; chosen: reached by the mean of a pixel that is saturated in most frames."""
+SATURATED_FRAMES: Final = 0.5
+"""Share of the frames in which such a pixel is saturated; chosen, for light that changes while it is taken."""
 MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
+MOVING_SIGMAS: Final = 10.0
+"""Robust standard deviations by which pixels are brighter where light moves, and where a line stands in a background;
+chosen: noise of pixels and rows stays below."""
+MAX_MOVING: Final = 0.02
+"""Share of such pixels in a background; chosen, above that of hot pixels that blink. Measured: 0 in
+dark tubes of seventeen rigs, 0.18 and more in sweeps of 12 to 400 lines."""
+MOVING_FRAMES, MOVING_STEP_PX = 100, 8
+"""Frames that are searched for it, and the step between their rows and columns; chosen: some thousand pixels do."""
+MIN_MOVING_FRAMES: Final = 5
+"""For a robust standard deviation; chosen."""
+MIN_NOISE: Final = 0.5
+"""Grey levels; chosen, as a camera that rounds them may show none."""
 MAX_CHORD: Final = 1.1
 """Length of a line over the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
 LIT_FRAMES: Final = 400
@@ -65,11 +81,14 @@ class Background:
         Number of frames that were averaged; the paper averages 50.
     drift : float
         Relative change of the mean level from the first half of the frames to the second.
+    line_row : float, optional
+        Row of a line that stands in the confocal view; None if there is none, as in a dark tube.
     """
 
     mean: Image
     frames: int
     drift: float
+    line_row: float | None = None
 
 
 def measure_background(frames: Frames) -> Background:
@@ -83,11 +102,36 @@ def measure_background(frames: Frames) -> Background:
     Raises
     ------
     MeasurementError
-        If more than 1 % is saturated, or the level drifts by more than 5 %.
+        If more than 1 % is saturated, a line moves, or the level drifts by more than 5 %.
     """
-    mean, drift = mean_frame(frames), _drift(frames, "background")
-    saturated_share(frames[0], "background")
-    return Background(mean, len(frames), drift)
+    mean = mean_frame(frames)
+    saturated_share(frames, "background")
+    moving, noise = _movement(frames)
+    if moving > MAX_MOVING:
+        raise MeasurementError(
+            f"light moves over {100 * moving:.0f} % of the background, as the line of a sweep does",
+            "give frames of the dark tube",
+        )
+    drift, line = _drift(frames, "background"), visible_line(mean[:, : column_between_views(mean)])
+    stands = line is not None and line.amplitude > MOVING_SIGMAS * noise
+    return Background(mean, len(frames), drift, line.row if line is not None and stands else None)
+
+
+def _movement(frames: Frames) -> tuple[float, float]:
+    """Return the share of pixels that are far brighter in single frames, and the pixels' typical noise in grey levels.
+
+    The frame with most of these pixels is left out: a flash of light moves nowhere.
+    """
+    every = -(-len(frames) // MOVING_FRAMES)
+    above = np.asarray(
+        [frames[k][::MOVING_STEP_PX, ::MOVING_STEP_PX] for k in range(0, len(frames), every)], np.float32
+    )
+    above -= np.median(above, axis=0)
+    noise = np.maximum(1.4826 * np.median(np.abs(above), axis=0), MIN_NOISE)
+    lit = above > MOVING_SIGMAS * noise
+    lit[np.count_nonzero(lit, axis=(1, 2)).argmax()] = False
+    moving = float(lit.any(axis=0).mean()) if len(above) >= MIN_MOVING_FRAMES else 0.0
+    return moving, float(np.median(noise))
 
 
 def _drift(frames: Frames, name: str) -> float:
@@ -137,26 +181,30 @@ def map_galvo(
     """
     if len(volts) != len(frames):
         raise InputError(f"{len(volts)} voltages for {len(frames)} frames of the sweep", "give one voltage per frame")
-    painted = brightest(frames, background)
+    seen = brightest(frames)
+    white, painted = white_level(seen), np.subtract(seen, 0 if background is None else background, dtype=np.float32)
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=[] if pair is None else pair.discs)
     reference, place = RowReference(dark, background), pair or offset
     collector = None if place is None else LightCollector(painted.shape, place.split, place.view_offset)
     max_chord_px = MAX_CHORD * (split - float(dark[0, :split].sum()) if pair is None else pair.confocal.diameter_px)
     every, noisy = -(-len(frames) // LIT_FRAMES), reference.some_show_noise(frames)
-    lines = []
+    lines, clipped = [], 0
     for number in progress(range(len(frames))):
-        frame = reference.without_row_noise(frames[number]) if noisy else frames[number]
+        raw = frames[number]
+        frame = reference.without_row_noise(raw) if noisy else raw
         line = visible_line(frame[:, :split], None if background is None else background[:, :split])
         lines.append(line)
-        if collector is None or line is None or number % every:
+        if collector is None or place is None or line is None or number % every or line.length_px > max_chord_px:
             continue
-        if line.length_px <= max_chord_px:
+        if max(clipped_share(raw, white, line, each) for each in (IN_PLACE, place.view_offset)) > MAX_CLIPPED_CORE:
+            clipped += 1
+        else:
             row = line.row - line.bow * line.mean_square_px
             collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
     found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
-    return found if collector is None else replace(found, light=collector.swept(dark, background))
+    return found if collector is None else replace(found, light=collector.swept(dark, background, clipped))
 
 
 def measure_pair(frames: Frames) -> BundlePair:
@@ -173,9 +221,11 @@ def measure_pair(frames: Frames) -> BundlePair:
         If there are not two bundle images that show the same cores, or the level drifts by more than 5 %.
     """
     frame = mean_frame(frames)
-    share = saturated_share(frames[0], "image of the bundle", MAX_SATURATED_BUNDLE)
+    share = saturated_share(frames, "image of the bundle", MAX_SATURATED_BUNDLE)
     confocal, residual = bundles.locate_pair(frame)
-    saturated = frame >= SATURATION_LEVEL * largest_level(frames[0])
+    whites = [(each, white_level(each)) for each in sampled(frames)]
+    often = np.mean([each >= white for each, white in whites], axis=0) >= SATURATED_FRAMES
+    saturated = often | (frame >= SATURATION_LEVEL * min(white for _, white in whites))
     alignment = align_views(frame, confocal, residual, saturated)
     light, side = frame - darkness(frame, (confocal.circle, residual.circle)), ceil(confocal.diameter_px)
     inside = disc(side, confocal.diameter_px) & within_frame(crop_to_frame(confocal.centre, side), side, frame.shape)
@@ -208,7 +258,7 @@ def measure_flat_field(frames: Frames, calibration: Calibration) -> Image:
     """
     bundle = calibration.measured_bundle
     frame = mean_frame(frames)
-    saturated_share(frames[0], "flat field")
+    saturated_share(frames, "flat field")
     _drift(frames, "flat field")
     sectioner = Sectioner(calibration, frame.shape)
     image = sectioner.ls(frame)

@@ -18,7 +18,12 @@ from napari_elsplus.instrument.optics import BUNDLE_UM, PARK_CLEARANCE_UM
 from napari_elsplus.processing.calibration.bundle.cancellation import measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_map
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, laser_gain, swept_flat_field
+from napari_elsplus.processing.calibration.bundle.laser_gain import (
+    LAMP_GAIN,
+    MAX_DISAGREEMENT,
+    laser_gain,
+    swept_flat_field,
+)
 from napari_elsplus.processing.calibration.bundle.pair import MAX_STRUCTURE, structure_of_light
 from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.calibration.slit_offset import offset_at
@@ -181,7 +186,7 @@ def with_darkness(draft: Draft) -> Calibration:
 def _in_laser_light(calibration: Calibration, pair: BundlePair, light: SweptLight) -> Calibration:
     """Return a calibration with the gain in the light of a sweep, where it shows that of a located pair."""
     found = laser_gain(light, in_lamp_light(calibration, pair))
-    if found is None:
+    if found is None or not abs(found[0] / pair.alignment.gain - 1) < MAX_DISAGREEMENT:
         return calibration
     update = {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
     return calibration.model_copy(update={"bundle": _bundle_section(pair).model_copy(update=update)})

@@ -16,9 +16,12 @@ from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.frame_regions import (
     column_between_views,
     mean_frame,
+    sampled,
     saturated_share,
     unlit_pixels,
+    white_level,
 )
+from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
 from napari_elsplus.processing.images.row_reference import RowReference
@@ -63,7 +66,9 @@ class SlitOffset:
     unsteady_rows : float
         Part of the standard deviation by scatter from frame to frame.
     parts : LineParts, optional
-        Core and halo of the line in the confocal view; None where its profile does not show both.
+        Core and halo of the line in the confocal view; None where its profile does not show both, or is saturated.
+    clipped : float
+        Saturated part of its core, in the frame in which it is largest.
     """
 
     rows: float
@@ -73,6 +78,7 @@ class SlitOffset:
     split: int
     unsteady_rows: float = 0.0
     parts: LineParts | None = None
+    clipped: float = 0.0
 
     @property
     def view_offset(self) -> tuple[float, float, float]:
@@ -110,7 +116,7 @@ def measure_offset(
     """
     alone = near is not None and len(frames) == 1
     raw: NDArray[Any] = np.asarray(frames[0]) if alone else mean_frame(frames)
-    saturated_share(frames[0], "image of the line")
+    saturated_share(frames, "image of the line")
     discs, lit_columns = [] if pair is None else pair.discs, [] if near is None else near.lit_columns
     reference = RowReference(unlit_pixels(raw, background, discs, lit_columns), background)
     noisy = reference.some_show_noise(frames)
@@ -124,12 +130,19 @@ def measure_offset(
         try:
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
+            if dark is not None and _shows_line(frame[:, part]):
+                raise MeasurementError(
+                    f"{name} view: the laser line does not stand out of the background",
+                    "is the background that of a dark tube?",
+                ) from None
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
-    found = _of_lines(lines[0], lines[1], split, pair)
+    clipped = max(clipped_share(each, white_level(each), lines[0]) for each in sampled(frames))
+    found = replace(_of_lines(lines[0], lines[1], split, pair), clipped=clipped)
     if alone:
         return found
-    of_tube = None if background is None else background[:, :split]
-    found = replace(found, parts=parts_of(lines[0], _less(frame[:, :split], of_tube)))
+    if clipped <= MAX_CLIPPED_CORE:
+        of_tube = None if background is None else background[:, :split]
+        found = replace(found, parts=parts_of(lines[0], _less(frame[:, :split], of_tube)))
     if len(frames) < MIN_SCATTER_FRAMES:
         return found
     views = (lines[0], slice(0, split)), (lines[1], slice(split, None))
@@ -138,6 +151,15 @@ def measure_offset(
     unsteady_rows = common_scatter_rows(shifts)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
+
+
+def _shows_line(view: NDArray[np.generic]) -> bool:
+    """Return True if a line is located in a view with its background."""
+    try:
+        locate_line(view)
+    except MeasurementError:
+        return False
+    return True
 
 
 def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
@@ -178,7 +200,7 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
         The bundle images; by their centres alone they do not show where the line is.
     """
     line = _of_lines(offset.confocal, offset.residual, offset.split, pair, offset.unsteady_rows)
-    line = replace(line, parts=offset.parts)
+    line = replace(line, parts=offset.parts, clipped=offset.clipped)
     rows, sigma_rows = _offset_of_cores(line, pair)
     away_rows = line.rows - rows
     if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_DIFFERENCE_ROWS:

@@ -9,10 +9,12 @@ import numpy as np
 
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
-from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN
+from napari_elsplus.processing.calibration.bundle.gain import mean_light
+from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DISAGREEMENT, LAMP_GAIN, laser_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
+from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE
 from napari_elsplus.processing.calibration.sections import in_lamp_light, structure_of_flat_field
 from napari_elsplus.processing.calibration.slit_offset import MAX_OFFSET_DIFFERENCE_ROWS
 from napari_elsplus.processing.calibration.step import StepSummary
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import BundleSection
+    from napari_elsplus.processing.calibration.bundle.laser_gain import SweptLight
     from napari_elsplus.processing.calibration.bundle.location import Disc
     from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
@@ -35,6 +38,10 @@ if TYPE_CHECKING:
 MAX_GAIN_SPREAD: Final = 0.125
 """Standard deviation of the gain map, relative to its mean, above which a warning is given; measured: 0.09 with 10 %
 from core to core and 10 % of vignette, 0.17 where a laser scanned fibres."""
+
+MAX_BACKGROUND_LIGHT: Final = 0.25
+"""Light of a background in the bundle, over that from its far end, above which a warning is given; measured: 0.016 to
+0.03 in dark tubes of eight rigs; the bundle lit from its far end has 1."""
 
 
 def with_uncertainty(value: float, uncertainty: float) -> str:
@@ -59,6 +66,11 @@ def summarize_offset(offset: SlitOffset, draft: Draft, setup: Setup) -> StepSumm
         headline += f"\n{with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)} µm"
     if cost > slit_rows / 2:
         warnings.append(f"the tilt costs more than half the slit of {slit_rows:g} rows: turn the line level")
+    if offset.clipped > MAX_CLIPPED_CORE:
+        warnings.append(
+            f"{100 * offset.clipped:.0f} % of the line's core is saturated: core and halo are not measured; "
+            "lower the laser's power, the exposure or the gain"
+        )
     if abs(offset.rows) < slit_rows:
         warnings.append("the offset is smaller than the slit: the residual contains most of the signal")
     tilt = with_uncertainty(line.tilt_deg, line.tilt_uncertainty_deg)
@@ -90,6 +102,8 @@ def summarize_galvo(galvo: GalvoMap, draft: Draft, setup: Setup) -> StepSummary:
         )
     if galvo.curved:
         warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
+    if galvo.light is not None and galvo.light.clipped:
+        warnings.append(_clipped_lines(galvo.light))
     if frames < PAPER_VOLTAGES:
         warnings.append(f"{frames} voltages; the paper takes at least {PAPER_VOLTAGES}")
     per_row = with_uncertainty(1e3 * galvo.volts_per_row, 1e3 * galvo.volts_per_row_uncertainty)
@@ -114,6 +128,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     else:
         lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
     lines.append(_gain_text(known.bundle, alignment))
+    warnings += _doubtful_gain(draft, pair)
     if known.gain_map is not None:
         spread = float(known.gain_map.std())
         lines.append(f"gain map: {100 * spread:.1f} % over the field")
@@ -175,6 +190,31 @@ def _gain_text(bundle: BundleSection | None, alignment: Alignment) -> str:
     return f"gain of the residual view {in_laser_light} in the light of the sweep, {by_lamp}"
 
 
+def _clipped_lines(light: SweptLight) -> str:
+    """Return how many lines of a sweep are saturated, what becomes of the residual view's gain, and the remedy."""
+    what = (
+        "so that it gives no gain of the residual view: the lamp's stays"
+        if light.mostly_clipped
+        else ("which are left out of the gain of the residual view")
+    )
+    return (
+        f"the line is saturated in {light.clipped} of {light.clipped + len(light.lines)} frames of the sweep, {what}; "
+        "lower the laser's power, the exposure or the gain"
+    )
+
+
+def _doubtful_gain(draft: Draft, pair: BundlePair) -> list[str]:
+    """Return a warning where the gains by sweep and lamp differ by more than their spectra do."""
+    light, lamp = None if draft.galvo is None else draft.galvo.light, pair.alignment.gain
+    found = None if light is None else laser_gain(light, in_lamp_light(draft.calibration, pair))
+    if found is None or abs(found[0] / lamp - 1) <= DOUBTFUL_DISAGREEMENT:
+        return []
+    return [
+        f"the gain of the residual view is {found[0]:.3f} in the light of the sweep, {lamp:.3f} in the lamp's: is a "
+        "view saturated, out of focus or partly blocked in one of the recordings? Record both again"
+    ]
+
+
 def seen_share(disc: Disc, frame_shape: tuple[int, ...]) -> float:
     """Return the part of a disc's diameter that lies within the frame, along its rows or columns, the smaller.
 
@@ -228,10 +268,27 @@ def _add_ramp(ramp: LearnedRamp, lines: list[str], warnings: list[str]) -> None:
         )
 
 
-def summarize_background(background: Background, _draft: Draft, _setup: Setup) -> StepSummary:
-    """Summarize a background: its mean level and drift; see :class:`CalibrationStep`."""
+def summarize_background(background: Background, draft: Draft, _setup: Setup) -> StepSummary:
+    """Summarize a background: its level and drift, light that is none of a dark tube; see :class:`CalibrationStep`.
+
+    Autofluorescence and reflections of the fibres' faces are light of a dark tube.
+    """
     lines = [f"{background.frames} frames, drift {100 * background.drift:.2f} %, less than 1 % saturated"]
-    return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines)
+    warnings, pair = [], draft.pair
+    if background.line_row is not None:
+        warnings.append(
+            f"a line stands in the background, at row {background.line_row:.0f}: is this the dark tube, the line "
+            "scanning? Record it again"
+        )
+    if pair is not None and pair.image.shape == background.mean.shape:
+        share = mean_light(background.mean, pair.discs) / max(mean_light(pair.image, pair.discs), 1e-9)
+        lines.append(f"light in the bundle {100 * share:.1f} % of that from its far end")
+        if share > MAX_BACKGROUND_LIGHT:
+            warnings.append(
+                f"the bundle is {100 * share:.0f} % as bright in the background as lit from its far end: is this the "
+                "dark tube, the lamp off? Record it again"
+            )
+    return StepSummary(f"{float(background.mean.mean()):.2f} grey levels", lines, warnings)
 
 
 def summarize_flat_field(flat: NDArray[np.float32], draft: Draft, _setup: Setup) -> StepSummary:

@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
-from napari_elsplus.processing.calibration.bundle.core_matching import tiles
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, tiles
 from napari_elsplus.processing.images.resampling import cropped
 
 if TYPE_CHECKING:
@@ -123,6 +123,21 @@ def darkness(frame: NDArray[np.float32], discs: Sequence[Circle]) -> NDArray[np.
         (rows, cols) float32: a plane fitted to the rings of 1.08 to 1.25 radii, robust against light in them.
     """
     return _spread_out(_dark_plane(frame, discs)[0], frame)
+
+
+def mean_light(frame: NDArray[np.float32], discs: Sequence[Circle]) -> float:
+    """Return the mean light within both discs, in grey levels above the darkness around them.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray
+        (rows, cols) float32.
+    discs : sequence of tuple
+        Centre (row, col) and diameter in pixels of both bundle images in it.
+    """
+    rows, cols = np.ogrid[: frame.shape[0], : frame.shape[1]]
+    inside = [np.hypot(rows - row, cols - col) < COMPARED_DISC * px / 2 for (row, col), px in discs]
+    return float((frame - darkness(frame, discs))[np.logical_or(*inside)].mean())
 
 
 def _spread_out(plane: Floats, frame: Image) -> Image:
