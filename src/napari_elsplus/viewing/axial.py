@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.axial_response import (
+from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
+from napari_elsplus.processing.axial.axial_response import (
     AxialResponse,
     SystematicUncertainty,
-    axial_profiles,
     axial_response,
 )
-from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
+from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -156,7 +156,7 @@ def measure_scan(
     InputError
         If the depths are unknown.
     CalibrationError, MeasurementError
-        As :func:`napari_elsplus.processing.analysis.axial_response.axial_profiles`.
+        As :func:`napari_elsplus.processing.axial.profiles.axial_profiles`.
     """
     if stack.depth_um is None:
         raise InputError(

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import beside, existing_beside, read_depths_um
-from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
+from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
+from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.workflows.progress import without_display
 

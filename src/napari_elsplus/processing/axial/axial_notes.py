@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.analysis.axial_response import MAX_CHANCE, MAX_UNCERTAINTY
+from napari_elsplus.processing.axial.axial_response import MAX_CHANCE, MAX_UNCERTAINTY
 
 if TYPE_CHECKING:
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
 
 MAX_FRAMES_ADVISED: Final = 100
 """Multiple of the frames beyond which the cause of their scatter is to be removed instead; chosen: a scan of a minute

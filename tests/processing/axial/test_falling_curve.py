@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.analysis.curve_noise import means_at_depths
-from napari_elsplus.processing.analysis.falling_curve import DropOff, FallingCurve
+from napari_elsplus.processing.axial.curve_noise import means_at_depths
+from napari_elsplus.processing.axial.falling_curve import DropOff, FallingCurve
 
 DEPTH_UM = np.r_[0.0, 8, np.arange(16.0, 64, 4), np.arange(68.0, 184, 8), np.arange(220.0, 720, 40)]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from napari_elsplus.processing.analysis.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
+from napari_elsplus.processing.axial.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

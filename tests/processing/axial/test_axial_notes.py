@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.analysis.axial_notes import axial_notes
-from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_response
+from napari_elsplus.processing.axial.axial_notes import axial_notes
+from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 
 DEPTH_UM = np.concatenate([np.arange(0.0, 800.0, 4.0), np.arange(800.0, 0.0, -4.0)])
 

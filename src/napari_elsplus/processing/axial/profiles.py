@@ -1,0 +1,108 @@
+"""Signals of a scan of depths: means of the central square of both views (the paper, Sec. 3.1)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.axial.axial_response import SystematicUncertainty
+from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
+from napari_elsplus.processing.images.sectioning import Sectioner
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.images.sectioning import Frames
+    from napari_elsplus.processing.progress import ProgressWrapper
+
+    Curve = NDArray[np.float64]
+
+SQUARE_UM: Final = 240.0
+"""Side of the central square that is averaged, micrometres (the paper, Sec. 3.1)."""
+
+
+class AxialProfiles(NamedTuple):
+    """Signals of a scan of depths; ELS+ is the difference of the two.
+
+    Parameters
+    ----------
+    ls, residual : numpy.ndarray
+        (T,) float64, grey levels.
+    systematic : SystematicUncertainty
+        Uncertainties common to all depths.
+    """
+
+    ls: Curve
+    residual: Curve
+    systematic: SystematicUncertainty
+
+
+def axial_profiles(
+    frames: Frames,
+    calibration: Calibration,
+    *,
+    progress: ProgressWrapper = iter,
+) -> AxialProfiles:
+    """Return the mean LS and residual signal of the central square in each frame.
+
+    Parameters
+    ----------
+    frames : sequence of numpy.ndarray
+        Raw frames (rows, cols).
+    calibration : Calibration
+        With its bundle section and scale.
+    progress : callable
+        Wraps the iteration over frame numbers, for a progress bar.
+
+    Returns
+    -------
+    AxialProfiles
+        Systematic uncertainties are that of the residual gain, and the bias of means by rounding to grey levels.
+
+    Raises
+    ------
+    CalibrationError
+        If a section is missing, or the scale is unknown.
+    MeasurementError
+        If the square does not fit into the bundle.
+    """
+    bundle, um_per_px = calibration.measured_bundle, calibration.measured_um_per_px
+    if not len(frames):
+        raise InputError("the scan holds no frame", "record one at each depth")
+    diameter_um = bundle.diameter_px * um_per_px
+    if SQUARE_UM * np.sqrt(2) > diameter_um:
+        raise MeasurementError(
+            f"a square of {SQUARE_UM:.0f} um does not fit into the bundle of {diameter_um:.0f} um",
+            "check the calibration's um_per_px and diameter",
+        )
+    sectioner = Sectioner(calibration, frames[0].shape)
+    middle, half = (sectioner.side - 1) / 2, SQUARE_UM / um_per_px / 2
+    inside = slice(round(middle - half), round(middle + half) + 1)
+    ls, residual = np.empty((2, len(frames)))
+    image = np.empty((sectioner.side, sectioner.side), np.float32)
+    for k in progress(range(len(frames))):
+        frame = frames[k]
+        ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
+        residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
+    squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
+    zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
+    gain = bundle.residual_gain
+    return AxialProfiles(
+        ls, residual, SystematicUncertainty(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain)
+    )
+
+
+def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
+    return tuple(slice(max(round(at - half), 0), round(at + half)) for at in centre)
+
+
+def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, square: tuple[slice, ...]) -> float:
+    """Return the bias of a view's zero by rounding: its background hardly has a pattern that would average it out."""
+    if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
+        return 0.0
+    darkest = int(np.argmin(ls[:-1] + ls[1:]))
+    noise = pixel_noise_dn(frames[darkest][square], frames[darkest + 1][square])
+    return rounding_bias_dn(noise, background[square])
