@@ -104,10 +104,10 @@ class ManualScan:
         CalibrationError
             If the calibration does not fit the frame or lacks the scale.
         MeasurementError
-            If the measured square does not fit into the bundle.
+            If the measured square does not fit into the bundle, or is saturated.
         """
         frames = [frame] if self._last is None else [frame, self._last]
-        ls, residual, systematic = axial_profiles(frames, calibration)
+        ls, residual, systematic = axial_profiles(frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]])
         if self.systematic is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
             self.systematic = systematic
         self._last = np.array(frame)
@@ -162,7 +162,7 @@ def measure_scan(
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it, one depth per frame"
         )
-    profiles = axial_profiles(stack.planes, calibration, progress=progress)
+    profiles = axial_profiles(stack.planes, calibration, depths_um=stack.depth_um, progress=progress)
     return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 
 

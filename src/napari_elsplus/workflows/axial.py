@@ -55,7 +55,7 @@ def measure_axial_response(
     CalibrationError
         If there is no calibration, or it does not fit the frames.
     MeasurementError
-        If the signal does not fall with depth.
+        If the scan is saturated, or shows no signal in contact.
 
     References
     ----------
@@ -70,7 +70,7 @@ def measure_axial_response(
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")
     require_agreement(scan, known)
-    profiles = axial_profiles(scan, known, progress=lambda numbers: progress(numbers, "depths"))
+    profiles = axial_profiles(scan, known, depths_um=depths, progress=lambda numbers: progress(numbers, "depths"))
     return axial_response(depths, *profiles)
 
 
