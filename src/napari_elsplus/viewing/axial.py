@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.axial.black_level import DarkLevels
     from napari_elsplus.processing.progress import ProgressWrapper
 
 MANUAL_SCAN: Final = "manual"
@@ -85,6 +86,8 @@ class ManualScan:
     residual: list[float] = field(default_factory=list)
     systematic: SystematicUncertainty | None = None
     """Uncertainty common to all depths, from the two darkest successive frames."""
+    dark: DarkLevels | None = None
+    """Level of the pixels beside the views in each frame."""
     _last: NDArray[Any] | None = None
 
     def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
@@ -107,9 +110,10 @@ class ManualScan:
             If the measured square does not fit into the bundle, or is saturated.
         """
         frames = [frame] if self._last is None else [frame, self._last]
-        ls, residual, systematic = axial_profiles(frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]])
+        ls, residual, systematic, dark = axial_profiles(frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]])
         if self.systematic is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
             self.systematic = systematic
+        self.dark = dark.first_after(self.dark)
         self._last = np.array(frame)
         self.depth_um.append(float(depth_um))
         self.ls.append(float(ls[0]))
@@ -130,7 +134,8 @@ class ManualScan:
         MeasurementError
             If there is no signal in contact.
         """
-        response = axial_response(self.depth_um, self.ls, self.residual, self.systematic or SystematicUncertainty())
+        systematic = self.systematic or SystematicUncertainty()
+        response = axial_response(self.depth_um, self.ls, self.residual, systematic, self.dark)
         return Scan(f"{MANUAL_SCAN}, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 

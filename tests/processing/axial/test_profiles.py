@@ -7,6 +7,7 @@ import pytest
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.axial.axial_notes import axial_notes
 from napari_elsplus.viewing.axial import ManualScan
 from napari_elsplus.workflows.axial import measure_axial_response
 
@@ -109,3 +110,49 @@ def test_a_saturated_frame_is_no_step_of_a_manual_scan() -> None:
     with pytest.raises(MeasurementError, match="saturated at 0 um"):
         steps.take(frames[0], calibration(), 0.0)
     assert steps.depth_um == [600.0]
+
+
+@pytest.mark.parametrize(
+    ("change_dn", "haze", "background", "seed"),
+    [(3.0, 0.0, True, 0), (-2.0, 0.0, True, 1), (0.4, 0.03, True, 2), (0.0, 0.0, False, 3), (0.0, 0.03, False, 4)],
+)
+def test_a_black_level_that_is_not_the_backgrounds_is_corrected_and_noted(
+    change_dn: float, haze: float, background: bool, seed: int
+) -> None:
+    """LS 10 dB was 679 um with 3 grey levels more, and beyond the scan without a background."""
+    known = calibration(background=background)
+    frames = scan(150.0, black_dn=BLACK_DN + change_dn, haze=haze, seed=seed)
+    response = measure_axial_response(frames, known, DEPTH_UM)
+    # Haze is in the views, too, and moves the distances.
+    steady = measure_axial_response(scan(150.0, haze=haze, seed=seed), calibration(), DEPTH_UM)
+    assert drops_um(response) == pytest.approx(drops_um(steady) if haze else truth_um(), rel=0.005)
+    note = axial_notes(response)[0]
+    assert note.startswith("warning: the black level changed" if background else "warning: the calibration has no")
+    wanted = change_dn if background else BLACK_DN
+    assert response.content()["black_level_subtracted_dn"] == pytest.approx(wanted, abs=0.02)
+
+
+def test_light_that_is_scattered_beside_the_views_is_no_black_level() -> None:
+    for haze in (0.0, 0.02, 0.1):
+        response = measure_axial_response(scan(150.0, haze=haze), calibration(), DEPTH_UM)
+        assert response.content()["black_level_subtracted_dn"] == 0
+        assert not any("black" in note for note in axial_notes(response))
+
+
+def test_a_manual_scan_without_a_background_is_corrected_too() -> None:
+    steps, known, depths = ManualScan(), calibration(background=False), DEPTH_UM[::2]
+    for depth_um, frame in zip(depths, scan(150.0, depths), strict=True):
+        steps.take(frame, known, depth_um)
+    assert drops_um(steps.scan(known).response) == pytest.approx(truth_um(), rel=0.01)
+
+
+@pytest.mark.parametrize("depths_um", [DEPTH_UM, DEPTH_UM[:16:4]])
+def test_pixels_beside_the_views_that_are_lit_like_them_show_no_black_level(depths_um: np.ndarray) -> None:
+    """The discs of the calibration are smaller than the light."""
+    frames = scan(150.0, depths_um)
+    small = calibration()
+    small = small.model_copy(update={"bundle": small.measured_bundle.model_copy(update={"diameter_px": 120.0})})
+    beside = frames.copy()
+    beside[:, :, :220] = frames[:, 60:160, 60:160].mean(axis=(1, 2))[:, None, None].astype(np.uint8)
+    beside[:, :, 220:] = frames[:, 60:160, 280:380].mean(axis=(1, 2))[:, None, None].astype(np.uint8)
+    assert measure_axial_response(beside, small, depths_um).content()["black_level_subtracted_dn"] == 0

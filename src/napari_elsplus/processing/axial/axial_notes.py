@@ -27,7 +27,28 @@ def axial_notes(response: AxialResponse) -> list[str]:
     list of str
         Lines that are warnings begin with "warning: ".
     """
-    return [line for line in (_bleaching_note(response), uncertainty_note(response)) if line]
+    notes = (_black_level_note(response), _bleaching_note(response), uncertainty_note(response))
+    return [line for line in notes if line]
+
+
+def _black_level_note(response: AxialResponse) -> str:
+    black = response.black
+    if black is None or (black.background and not black.dn):
+        return ""
+    if black.background:
+        return (
+            f"warning: the black level changed by {black.dn:+.2g} grey levels since the background was recorded:"
+            " corrected; record the background again"
+        )
+    if not black.known:
+        return (
+            "warning: the calibration has no background, and the frames have no dark pixels beside the views: the"
+            " distances contain the black level; calibrate with a background"
+        )
+    return (
+        f"warning: the calibration has no background: the level beside the views, {black.dn:.3g} grey levels, was"
+        " subtracted, the bundle's own light was not; calibrate with a background"
+    )
 
 
 def _bleaching_note(response: AxialResponse) -> str:

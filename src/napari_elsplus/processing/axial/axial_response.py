@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.axial.black_level import black_level
 from napari_elsplus.processing.axial.bleaching import light_loss
 from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, means_at_depths
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
@@ -22,6 +23,7 @@ from napari_elsplus.processing.axial.falling_curve import FallingCurve
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from napari_elsplus.processing.axial.black_level import BlackLevel, DarkLevels
     from napari_elsplus.processing.axial.bleaching import LightLoss
 
     Curve = NDArray[np.float64]
@@ -64,6 +66,8 @@ class AxialResponse:
     loss : LightLoss, optional
         Light that was lost in the course of the scan, by bleaching; corrected where significant. None where too few
         depths were recorded more than once.
+    black : BlackLevel, optional
+        Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
 
     depth_um: Curve
@@ -78,6 +82,7 @@ class AxialResponse:
     signal_kept: float
     signal_kept_uncertainty: float
     loss: LightLoss | None = None
+    black: BlackLevel | None = None
 
     @property
     def frames_advised(self) -> int:
@@ -129,6 +134,7 @@ class AxialResponse:
             "contact_um": self.contact_um,
             "light_lost": None if self.loss is None else self.loss.share,
             "light_lost_uncertainty": None if self.loss is None else self.loss.share_uncertainty,
+            "black_level_subtracted_dn": 0.0 if self.black is None else self.black.dn,
             "depth_um": self.depth_um.tolist(),
             "profiles": {"ls": self.ls.tolist(), "residual": self.residual.tolist(), "els": self.els.tolist()},
         }
@@ -149,12 +155,27 @@ class SystematicUncertainty(NamedTuple):
     residual_zero_dn: float = 0.0
     gain: float = 0.0
 
+    def with_zero(self, ls_dn: float, residual_dn: float) -> SystematicUncertainty:
+        """Return them with a further uncertainty of both zeros, grey levels.
+
+        Parameters
+        ----------
+        ls_dn, residual_dn : float
+            Standard deviations, independent of those so far.
+        """
+        zeros = np.hypot([self.ls_zero_dn, self.residual_zero_dn], [ls_dn, residual_dn])
+        return SystematicUncertainty(float(zeros[0]), float(zeros[1]), self.gain)
+
 
 _NO_SYSTEMATIC = SystematicUncertainty()
 
 
 def axial_response(
-    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, systematic: SystematicUncertainty = _NO_SYSTEMATIC
+    depths_um: ArrayLike,
+    ls: ArrayLike,
+    residual: ArrayLike,
+    systematic: SystematicUncertainty = _NO_SYSTEMATIC,
+    dark: DarkLevels | None = None,
 ) -> AxialResponse:
     """Estimate drop-off distances and kept signal from signals against depth.
 
@@ -171,6 +192,8 @@ def axial_response(
         Signals (T,) in grey levels, the background subtracted.
     systematic : SystematicUncertainty
         Uncertainties common to all depths; they add to those of the distances.
+    dark : DarkLevels, optional
+        Level of the pixels beside the views, by which a black level that is left in the signals is subtracted.
 
     Returns
     -------
@@ -193,6 +216,11 @@ def axial_response(
     [60, 540, 30, 90]
     """
     depths, *signals = _checked(depths_um, ls, residual)
+    black = None
+    if dark is not None:
+        black = black_level(dark, *signals)
+        signals = [signals[0] - black.dn, signals[1] - black.dn / dark.residual_gain]
+        systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
@@ -229,6 +257,7 @@ def axial_response(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
+        black=black,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial.axial_response import SystematicUncertainty
+from napari_elsplus.processing.axial.black_level import DarkLevels, DarkPixels
 from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.calibration.frame_regions import saturated_share
 from napari_elsplus.processing.images.sectioning import Sectioner
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.progress import ProgressWrapper
 
     Curve = NDArray[np.float64]
+    Frame = NDArray[np.generic]
 
 SQUARE_UM: Final = 240.0
 """Side of the central square that is averaged, micrometres (the paper, Sec. 3.1)."""
@@ -40,11 +42,14 @@ class AxialProfiles(NamedTuple):
         (T,) float64, grey levels.
     systematic : SystematicUncertainty
         Uncertainties common to all depths.
+    dark : DarkLevels
+        Level of the pixels beside the views, by which a black level that is left in the signals is known.
     """
 
     ls: Curve
     residual: Curve
     systematic: SystematicUncertainty
+    dark: DarkLevels
 
 
 def axial_profiles(
@@ -92,18 +97,29 @@ def axial_profiles(
     middle, half = (sectioner.side - 1) / 2, SQUARE_UM / um_per_px / 2
     inside = slice(round(middle - half), round(middle + half) + 1)
     squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
-    ls, residual, saturated = np.empty((3, len(frames)))
+    dark = DarkPixels(calibration, frames[0].shape)
+    ls, residual, saturated, dark_dn = np.empty((4, len(frames)))
     image = np.empty((sectioner.side, sectioner.side), np.float32)
     for k in progress(range(len(frames))):
         frame = frames[k]
         ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
         saturated[k] = max(saturated_share(frame[square], "scan", limit=1.0) for square in squares)
+        dark_dn[k] = dark.level_dn(frame) if dark.enough else 0.0
     _refuse_saturated(saturated, depths_um)
-    zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
+    darkest = _darkest(frames, ls)
+    zeros = [_zero_dn(darkest, calibration.background, square) for square in squares]
     gain = bundle.residual_gain
     return AxialProfiles(
-        ls, residual, SystematicUncertainty(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain)
+        ls,
+        residual,
+        SystematicUncertainty(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain),
+        DarkLevels(
+            dark_dn if dark.enough else None,
+            dark.bias_dn(*darkest) if dark.enough and darkest else 0.0,
+            gain,
+            calibration.background is not None,
+        ),
     )
 
 
@@ -121,15 +137,23 @@ def _refuse_saturated(share: Curve, depths_um: ArrayLike | None) -> None:
     span = first if first == last else f"{first} to {last}"
     raise MeasurementError(
         f"the scan is saturated {f'in frame {span}' if depths_um is None else f'at {span} um'}"
-        f" (up to {100 * share.max():.2g} % of the measured square)",
+        f" (up to {100 * share.max():.1f} % of the measured square)",
         "lower the light or the gain, and record the scan again",
     )
 
 
-def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, square: tuple[slice, ...]) -> float:
+def _darkest(frames: Frames, ls: Curve) -> tuple[Frame, Frame] | None:
+    """Return the two successive frames with the least signal; None if there is but one."""
+    if len(ls) < 2:
+        return None
+    first = int(np.argmin(ls[:-1] + ls[1:]))
+    return frames[first], frames[first + 1]
+
+
+def _zero_dn(
+    darkest: tuple[Frame, Frame] | None, background: NDArray[np.float32] | None, square: tuple[slice, ...]
+) -> float:
     """Return the bias of a view's zero by rounding: its background hardly has a pattern that would average it out."""
-    if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
+    if darkest is None or background is None or not np.issubdtype(darkest[0].dtype, np.integer):
         return 0.0
-    darkest = int(np.argmin(ls[:-1] + ls[1:]))
-    noise = pixel_noise_dn(frames[darkest][square], frames[darkest + 1][square])
-    return rounding_bias_dn(noise, background[square])
+    return rounding_bias_dn(pixel_noise_dn(darkest[0][square], darkest[1][square]), background[square])
