@@ -35,3 +35,11 @@ def test_bleaching_is_named_with_its_share() -> None:
 def test_the_remedy_is_frames_only_where_they_would_help(noise: float, remedy: str) -> None:
     power = np.exp(np.random.default_rng(7315).normal(0, noise, len(DEPTH_UM)))
     assert remedy in axial_notes(response(power))[-1]
+
+
+@pytest.mark.parametrize(("step_um", "advised"), [(2.0, False), (8.0, True), (25.0, True), (50.0, True)])
+def test_finer_steps_are_advised_where_depths_are_coarse_not_more_frames(step_um: float, advised: bool) -> None:
+    depths = np.arange(0.0, 800.0, step_um)
+    notes = axial_notes(response(1.0, np.r_[depths, depths[::-1]]))
+    assert any("near the 3 dB point: record at steps of at most" in note for note in notes) == advised
+    assert not any("times as many frames" in note for note in notes)

@@ -68,11 +68,16 @@ def uncertainty_note(response: AxialResponse) -> str:
     response : AxialResponse
         Of a scan.
     """
-    advised = response.frames_advised
+    advised, least = response.frames_advised, response.least_certain
     if advised == 1 and response.uncertainty <= MAX_UNCERTAINTY:
         return ""
     remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
-    if advised == 1 and response.chance > MAX_CHANCE:
+    # Between depths far apart the bend of the curve counts as scatter, too: finer steps reduce both.
+    if least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
+        depths = f"{least.depths} {'depth' if least.depths == 1 else 'depths'}"
+        level = "3 dB" if least is response.els_3db else "10 dB"
+        remedy = f"{depths} near the {level} point: record at steps of at most {least.max_step_um:.2g} um there"
+    elif advised == 1 and response.chance > MAX_CHANCE:
         remedy = "more frames would not help, the plate has bleached: lower the laser's power, or take a fresh plate"
     elif advised > MAX_FRAMES_ADVISED:
         remedy = "more frames would not help: the line jitters or the light varies from frame to frame"

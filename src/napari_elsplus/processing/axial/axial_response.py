@@ -105,7 +105,12 @@ class AxialResponse:
     @property
     def uncertainty(self) -> float:
         """Largest standard deviation of an ELS+ distance over it."""
-        return max(drop.uncertainty_um / drop.um for drop in self._els_drops)
+        return self.least_certain.uncertainty_um / self.least_certain.um
+
+    @property
+    def least_certain(self) -> DropOff:
+        """ELS+ distance of which its uncertainty is the largest part."""
+        return max(self._els_drops, key=lambda drop: drop.uncertainty_um / drop.um)
 
     @property
     def _els_drops(self) -> list[DropOff]:
