@@ -55,7 +55,7 @@ def measure_axial_response(
     CalibrationError
         If there is no calibration, or it does not fit the frames.
     MeasurementError
-        If the scan is saturated, or shows no signal in contact.
+        If the scan is saturated, shows no signal in contact, or none that falls beyond it.
 
     References
     ----------

@@ -43,3 +43,16 @@ def test_finer_steps_are_advised_where_depths_are_coarse_not_more_frames(step_um
     notes = axial_notes(response(1.0, np.r_[depths, depths[::-1]]))
     assert any("near the 3 dB point: record at steps of at most" in note for note in notes) == advised
     assert not any("times as many frames" in note for note in notes)
+
+
+@pytest.mark.parametrize(("first_um", "noted"), [(0.0, False), (100.0, True), (-50.0, True)])
+def test_contact_that_was_not_seen_is_noted_unless_depths_count_from_it(first_um: float, noted: bool) -> None:
+    ls = 100 / (1 + DEPTH_UM / 60)
+    found = axial_response(first_um + DEPTH_UM, ls, ls - 80 / (1 + (DEPTH_UM / 30) ** 2))
+    assert any("contact was taken to be the first depth" in note for note in axial_notes(found)) == noted
+
+
+def test_contact_that_was_passed_needs_no_note() -> None:
+    depths = np.r_[np.arange(-40.0, 800.0, 4.0), np.arange(800.0, -41.0, -4.0)]
+    ls = 100 / (1 + np.abs(depths) / 60)
+    assert axial_notes(axial_response(depths, ls, ls - 80 / (1 + (depths / 30) ** 2))) == []

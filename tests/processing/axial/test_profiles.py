@@ -146,6 +146,13 @@ def test_a_manual_scan_without_a_background_is_corrected_too() -> None:
     assert drops_um(steps.scan(known).response) == pytest.approx(truth_um(), rel=0.01)
 
 
+@pytest.mark.parametrize("depths_um", [-DEPTH_UM, DEPTH_UM[::-1].copy()])
+def test_depths_of_the_other_sign_or_order_are_refused(depths_um: np.ndarray) -> None:
+    """All four distances were missing, without an error."""
+    with pytest.raises(MeasurementError, match=r"largest at the last depth, \d+ um.*grow away from the probe"):
+        measure_axial_response(scan(150.0), calibration(), depths_um)
+
+
 @pytest.mark.parametrize("depths_um", [DEPTH_UM, DEPTH_UM[:16:4]])
 def test_pixels_beside_the_views_that_are_lit_like_them_show_no_black_level(depths_um: np.ndarray) -> None:
     """The discs of the calibration are smaller than the light."""

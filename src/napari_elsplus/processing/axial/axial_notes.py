@@ -27,7 +27,12 @@ def axial_notes(response: AxialResponse) -> list[str]:
     list of str
         Lines that are warnings begin with "warning: ".
     """
-    notes = (_black_level_note(response), _bleaching_note(response), uncertainty_note(response))
+    notes = (
+        _black_level_note(response),
+        _contact_note(response),
+        _bleaching_note(response),
+        uncertainty_note(response),
+    )
     return [line for line in notes if line]
 
 
@@ -48,6 +53,15 @@ def _black_level_note(response: AxialResponse) -> str:
     return (
         f"warning: the calibration has no background: the level beside the views, {black.dn:.3g} grey levels, was"
         " subtracted, the bundle's own light was not; calibrate with a background"
+    )
+
+
+def _contact_note(response: AxialResponse) -> str:
+    if not response.contact_assumed:
+        return ""
+    return (
+        f"contact was taken to be the first depth, {response.contact_um:g} um, not seen: begin the scan before contact,"
+        " or count the depths from it"
     )
 
 

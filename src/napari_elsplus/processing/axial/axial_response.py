@@ -108,6 +108,11 @@ class AxialResponse:
         return self.least_certain.uncertainty_um / self.least_certain.um
 
     @property
+    def contact_assumed(self) -> bool:
+        """True if the signal falls from the first depth on, which is not given as 0: contact may lie before it."""
+        return bool(self.contact_um == self.depth_um[0] != 0)
+
+    @property
     def least_certain(self) -> DropOff:
         """ELS+ distance of which its uncertainty is the largest part."""
         return max(self._els_drops, key=lambda drop: drop.uncertainty_um / drop.um)
@@ -210,7 +215,7 @@ def axial_response(
     InputError
         If the lengths differ, there are too few depths, or a number is not finite.
     MeasurementError
-        If there is no signal in contact.
+        If there is no signal in contact, or it does not fall beyond it.
 
     Examples
     --------
@@ -246,6 +251,11 @@ def axial_response(
     if not els_fall.contact > 0:
         problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels"
         raise MeasurementError(problem, "is the residual's slit off the line?")
+    if contact == len(of_ls.depth) - 1:
+        raise MeasurementError(
+            f"the plate's signal is largest at the last depth, {of_ls.depth[contact] + 0.0:g} um",
+            "do the depths grow away from the probe, and are they in the order of the frames?",
+        )
     kept = els_fall.contact / ls_fall.contact
     return AxialResponse(
         depth_um=of_ls.depth,
