@@ -163,3 +163,16 @@ def test_pixels_beside_the_views_that_are_lit_like_them_show_no_black_level(dept
     beside[:, :, :220] = frames[:, 60:160, 60:160].mean(axis=(1, 2))[:, None, None].astype(np.uint8)
     beside[:, :, 220:] = frames[:, 60:160, 280:380].mean(axis=(1, 2))[:, None, None].astype(np.uint8)
     assert measure_axial_response(beside, small, depths_um).content()["black_level_subtracted_dn"] == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_els_of_a_residual_slit_on_the_line_is_noise_and_refused(seed: int) -> None:
+    """A 3 dB distance of 87 um was given, uncertain by 209 um."""
+    depths = DEPTH_UM[::2]
+    with pytest.raises(MeasurementError, match="its uncertainty"):
+        measure_axial_response(scan(150.0, depths, offset_um=0.0, seed=seed), calibration(), depths)
+
+
+def test_els_of_a_small_offset_is_measured() -> None:
+    found = measure_axial_response(scan(150.0, offset_um=3.0), calibration(), DEPTH_UM)
+    assert found.signal_kept == pytest.approx(1 - signal(3.0, np.array(0.0)) / signal(0.0, np.array(0.0)), rel=0.02)

@@ -16,7 +16,7 @@ from scipy.optimize import isotonic_regression
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial.black_level import black_level
 from napari_elsplus.processing.axial.bleaching import light_loss
-from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, means_at_depths
+from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, means_at_depths, noise_of_curve
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.axial.falling_curve import FallingCurve
 
@@ -41,6 +41,8 @@ distances by up to 2.2 %, which leaves 0.8 % for it and for the gain."""
 MAX_BLEACHED: Final = 0.9
 """Share of all that scans of a bleaching plate can ever show from which no further ones are advised; chosen: the rest
 would lower the uncertainty by a twentieth."""
+_MIN_LIGHT: Final = 0.01
+"""LS, share of that in contact, below which noise is not expected to fall further; chosen: the camera's own is left."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -215,7 +217,7 @@ def axial_response(
     InputError
         If the lengths differ, there are too few depths, or a number is not finite.
     MeasurementError
-        If there is no signal in contact, or it does not fall beyond it.
+        If LS or ELS+ in contact does not stand out of its noise, or LS does not fall beyond contact.
 
     Examples
     --------
@@ -248,8 +250,11 @@ def axial_response(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
             "is the laser on, and does the background belong to this scan?",
         )
-    if not els_fall.contact > 0:
-        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels"
+    # In contact both views have the shot noise of LS, of which little is left at most depths.
+    light = np.sqrt(np.maximum(of_ls.mean / ls_fall.contact, _MIN_LIGHT))
+    els_noise = float(np.hypot(noise_of_curve(of_els.depth, of_els.mean / light)[0], correlated_dn[0]))
+    if not (els_fall.contact > _MIN_SIGNAL_SIGMAS * els_noise and els_fall.contact > 0):
+        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels, its uncertainty {els_noise:.2g}"
         raise MeasurementError(problem, "is the residual's slit off the line?")
     if contact == len(of_ls.depth) - 1:
         raise MeasurementError(
