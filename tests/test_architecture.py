@@ -28,6 +28,7 @@ ORDER = (
     "processing.analysis",
     "processing.calibration.bundle",
     "processing.calibration",
+    "processing.axial",
     "processing.tracking.motion",
     "processing.tracking.front_end",
     "processing.tracking.registration",

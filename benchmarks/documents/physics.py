@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
 
 SLITS_UM: Final = (1.9, 2.9, 5.8)
 SHARP_SLITS_UM: Final = (2.9, 5.8, 8.8)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
     from napari_elsplus.workflows.sectioning_performance import SectioningPerformance
 
 PAPER_COLOUR: Final = "0.35"

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from napari_elsplus.processing.analysis.axial_response import (
-    LEVEL_3DB,
-    LEVEL_10DB,
-    SQUARE_UM,
-    AxialProfiles,
-    axial_profiles,
-    axial_response,
-)
+from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB, axial_response
+from napari_elsplus.processing.axial.profiles import SQUARE_UM, AxialProfiles, axial_profiles
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
@@ -32,7 +26,7 @@ from napari_elsplus.workflows.tracking import Pipeline
 if TYPE_CHECKING:
     from benchmarks.imperfect.rig import ImperfectRig, Rows
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.simulation.rendering.views import BundleView
 

@@ -15,14 +15,14 @@ from benchmarks.imperfect.measures import Error
 from benchmarks.imperfect.rig import ImperfectRig
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import replacing
-from napari_elsplus.processing.analysis.axial_notes import uncertainty_note
+from napari_elsplus.processing.axial.axial_notes import uncertainty_note
 from napari_elsplus.processing.calibration.steps import find_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
 
 PRESET: Final = "240hz"
 TOLERANCE: Final = 0.03

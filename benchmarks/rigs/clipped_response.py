@@ -12,7 +12,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB, SQUARE_UM
+from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
+from napari_elsplus.processing.axial.profiles import SQUARE_UM
 from napari_elsplus.simulation.model.axial_response import DropOffs, Response, gaussian_over_slit
 from napari_elsplus.simulation.model.illumination import edge
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
+from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
+from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background

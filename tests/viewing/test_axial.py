@@ -12,7 +12,7 @@ from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, write_calibration, write_column, write_stack
-from napari_elsplus.processing.analysis.axial_response import axial_response
+from napari_elsplus.processing.axial.axial_response import axial_response
 from napari_elsplus.viewing.axial import (
     ManualScan,
     Scan,

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.axial_response import (
+from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
+from napari_elsplus.processing.axial.axial_response import (
     AxialResponse,
     SystematicUncertainty,
-    axial_profiles,
     axial_response,
 )
-from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
+from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.axial.black_level import DarkLevels
     from napari_elsplus.processing.progress import ProgressWrapper
 
 MANUAL_SCAN: Final = "manual"
@@ -85,6 +86,8 @@ class ManualScan:
     residual: list[float] = field(default_factory=list)
     systematic: SystematicUncertainty | None = None
     """Uncertainty common to all depths, from the two darkest successive frames."""
+    dark: DarkLevels | None = None
+    """Level of the pixels beside the views in each frame."""
     _last: NDArray[Any] | None = None
 
     def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
@@ -104,12 +107,13 @@ class ManualScan:
         CalibrationError
             If the calibration does not fit the frame or lacks the scale.
         MeasurementError
-            If the measured square does not fit into the bundle.
+            If the measured square does not fit into the bundle, or is saturated.
         """
         frames = [frame] if self._last is None else [frame, self._last]
-        ls, residual, systematic = axial_profiles(frames, calibration)
+        ls, residual, systematic, dark = axial_profiles(frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]])
         if self.systematic is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
             self.systematic = systematic
+        self.dark = dark.first_after(self.dark)
         self._last = np.array(frame)
         self.depth_um.append(float(depth_um))
         self.ls.append(float(ls[0]))
@@ -130,7 +134,8 @@ class ManualScan:
         MeasurementError
             If there is no signal in contact.
         """
-        response = axial_response(self.depth_um, self.ls, self.residual, self.systematic or SystematicUncertainty())
+        systematic = self.systematic or SystematicUncertainty()
+        response = axial_response(self.depth_um, self.ls, self.residual, systematic, self.dark)
         return Scan(f"{MANUAL_SCAN}, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 
@@ -156,13 +161,13 @@ def measure_scan(
     InputError
         If the depths are unknown.
     CalibrationError, MeasurementError
-        As :func:`napari_elsplus.processing.analysis.axial_response.axial_profiles`.
+        As :func:`napari_elsplus.processing.axial.profiles.axial_profiles`.
     """
     if stack.depth_um is None:
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it, one depth per frame"
         )
-    profiles = axial_profiles(stack.planes, calibration, progress=progress)
+    profiles = axial_profiles(stack.planes, calibration, depths_um=stack.depth_um, progress=progress)
     return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 
 

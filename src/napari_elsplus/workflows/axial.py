@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import beside, existing_beside, read_depths_um
-from napari_elsplus.processing.analysis.axial_response import AxialResponse, axial_profiles, axial_response
+from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
+from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.workflows.progress import without_display
 
@@ -54,7 +55,7 @@ def measure_axial_response(
     CalibrationError
         If there is no calibration, or it does not fit the frames.
     MeasurementError
-        If the signal does not fall with depth.
+        If the scan is saturated, shows no signal in contact, or none that falls beyond it.
 
     References
     ----------
@@ -69,7 +70,7 @@ def measure_axial_response(
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")
     require_agreement(scan, known)
-    profiles = axial_profiles(scan, known, progress=lambda numbers: progress(numbers, "depths"))
+    profiles = axial_profiles(scan, known, depths_um=depths, progress=lambda numbers: progress(numbers, "depths"))
     return axial_response(depths, *profiles)
 
 

@@ -8,14 +8,14 @@ import pytest
 
 from benchmarks.documents import physics
 from benchmarks.documents.physics_charts import kept_signal
-from napari_elsplus.processing.analysis import axial_response as axial
+from napari_elsplus.processing.axial import axial_response as axial
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
 from napari_elsplus.workflows.sectioning_performance import SectioningPerformance, predict_performance
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
     from napari_elsplus.simulation.model.instrument import Instrument
 
 

@@ -10,7 +10,7 @@ from napari.layers import Image
 
 from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.io import write_calibration, write_column, write_stack
-from napari_elsplus.processing.analysis.axial_response import axial_response
+from napari_elsplus.processing.axial.axial_response import axial_response
 from napari_elsplus.viewing import axial as viewing_axial
 from napari_elsplus.viewing.axial import Scan
 from napari_elsplus.widgets.analysis.axial import MANUAL, SIMULATED, STACK

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from napari_elsplus.processing.analysis.axial_response import AxialResponse, DropOff
+    from napari_elsplus.processing.axial.axial_response import AxialResponse, DropOff
 
 
 @click.command(cls=ReadingCommand)
@@ -51,7 +51,7 @@ def command(
 
 
 def _summary(response: AxialResponse) -> Iterator[str]:
-    from napari_elsplus.processing.analysis.axial_notes import axial_notes
+    from napari_elsplus.processing.axial.axial_notes import axial_notes
 
     for name, three, ten in (
         ("LS", response.ls_3db, response.ls_10db),

@@ -1,1 +1,1 @@
-"""Axial response, resolution, image quality, and the statistics that they rest on."""
+"""Resolution, image quality, and the statistics that they rest on."""

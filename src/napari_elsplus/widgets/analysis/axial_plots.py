@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.analysis.axial_notes import axial_notes
+from napari_elsplus.processing.axial.axial_notes import axial_notes
 from napari_elsplus.widgets.shared.plots import Curve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.processing.analysis.axial_response import DropOff
     from napari_elsplus.processing.analysis.slit_offset import SaturationFit
+    from napari_elsplus.processing.axial.axial_response import DropOff
     from napari_elsplus.viewing.axial import DropOffs, Scan
 
     Mark = tuple[float, str, str]

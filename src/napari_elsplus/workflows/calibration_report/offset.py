@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.analysis.axial_response import LEVEL_3DB, LEVEL_10DB
+from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
 from napari_elsplus.simulation.model.axial_response import axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve

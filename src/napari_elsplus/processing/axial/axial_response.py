@@ -1,7 +1,7 @@
 """Axial response: decrease of a fluorescent plate's signal with its distance from the focus (the paper, Sec. 3.1).
 
-The mean of the central 240 x 240 um of LS, residual and ELS+ is taken at each depth; the distances at which LS and ELS+
-have fallen to a half (3 dB) and to a tenth (10 dB) of their value in contact measure the optical sectioning.
+The distances at which the mean of LS and of ELS+ has fallen to a half (3 dB) and to a tenth (10 dB) of its value in
+contact measure the optical sectioning.
 """
 
 from __future__ import annotations
@@ -14,25 +14,20 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.bleaching import light_loss
-from napari_elsplus.processing.analysis.curve_noise import MIN_POINTS, means_at_depths
-from napari_elsplus.processing.analysis.falling_curve import DropOff as DropOff
-from napari_elsplus.processing.analysis.falling_curve import FallingCurve
-from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
-from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.processing.axial.black_level import black_level
+from napari_elsplus.processing.axial.bleaching import light_loss
+from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, means_at_depths, noise_of_curve
+from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
+from napari_elsplus.processing.axial.falling_curve import FallingCurve
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.analysis.bleaching import LightLoss
-    from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.processing.progress import ProgressWrapper
+    from napari_elsplus.processing.axial.black_level import BlackLevel, DarkLevels
+    from napari_elsplus.processing.axial.bleaching import LightLoss
 
     Curve = NDArray[np.float64]
 
-SQUARE_UM: Final = 240.0
-"""Side of the central square that is averaged, micrometres (the paper, Sec. 3.1)."""
 LEVEL_3DB: Final = 0.5
 """Level of the 3 dB drop-off, fraction of the signal in contact (the paper, Sec. 3.1)."""
 LEVEL_10DB: Final = 0.1
@@ -46,6 +41,8 @@ distances by up to 2.2 %, which leaves 0.8 % for it and for the gain."""
 MAX_BLEACHED: Final = 0.9
 """Share of all that scans of a bleaching plate can ever show from which no further ones are advised; chosen: the rest
 would lower the uncertainty by a twentieth."""
+_MIN_LIGHT: Final = 0.01
+"""LS, share of that in contact, below which noise is not expected to fall further; chosen: the camera's own is left."""
 _MIN_SIGNAL_SIGMAS: Final = 3
 """Smallest signal in contact, standard deviations of its noise; chosen: the usual limit of detection."""
 
@@ -71,6 +68,8 @@ class AxialResponse:
     loss : LightLoss, optional
         Light that was lost in the course of the scan, by bleaching; corrected where significant. None where too few
         depths were recorded more than once.
+    black : BlackLevel, optional
+        Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
 
     depth_um: Curve
@@ -85,6 +84,7 @@ class AxialResponse:
     signal_kept: float
     signal_kept_uncertainty: float
     loss: LightLoss | None = None
+    black: BlackLevel | None = None
 
     @property
     def frames_advised(self) -> int:
@@ -107,7 +107,17 @@ class AxialResponse:
     @property
     def uncertainty(self) -> float:
         """Largest standard deviation of an ELS+ distance over it."""
-        return max(drop.uncertainty_um / drop.um for drop in self._els_drops)
+        return self.least_certain.uncertainty_um / self.least_certain.um
+
+    @property
+    def contact_assumed(self) -> bool:
+        """True if the signal falls from the first depth on, which is not given as 0: contact may lie before it."""
+        return bool(self.contact_um == self.depth_um[0] != 0)
+
+    @property
+    def least_certain(self) -> DropOff:
+        """ELS+ distance of which its uncertainty is the largest part."""
+        return max(self._els_drops, key=lambda drop: drop.uncertainty_um / drop.um)
 
     @property
     def _els_drops(self) -> list[DropOff]:
@@ -136,6 +146,7 @@ class AxialResponse:
             "contact_um": self.contact_um,
             "light_lost": None if self.loss is None else self.loss.share,
             "light_lost_uncertainty": None if self.loss is None else self.loss.share_uncertainty,
+            "black_level_subtracted_dn": 0.0 if self.black is None else self.black.dn,
             "depth_um": self.depth_um.tolist(),
             "profiles": {"ls": self.ls.tolist(), "residual": self.residual.tolist(), "els": self.els.tolist()},
         }
@@ -156,96 +167,27 @@ class SystematicUncertainty(NamedTuple):
     residual_zero_dn: float = 0.0
     gain: float = 0.0
 
+    def with_zero(self, ls_dn: float, residual_dn: float) -> SystematicUncertainty:
+        """Return them with a further uncertainty of both zeros, grey levels.
+
+        Parameters
+        ----------
+        ls_dn, residual_dn : float
+            Standard deviations, independent of those so far.
+        """
+        zeros = np.hypot([self.ls_zero_dn, self.residual_zero_dn], [ls_dn, residual_dn])
+        return SystematicUncertainty(float(zeros[0]), float(zeros[1]), self.gain)
+
 
 _NO_SYSTEMATIC = SystematicUncertainty()
 
 
-class AxialProfiles(NamedTuple):
-    """Signals of a scan of depths; ELS+ is the difference of the two.
-
-    Parameters
-    ----------
-    ls, residual : numpy.ndarray
-        (T,) float64, grey levels.
-    systematic : SystematicUncertainty
-        Uncertainties common to all depths.
-    """
-
-    ls: Curve
-    residual: Curve
-    systematic: SystematicUncertainty
-
-
-def axial_profiles(
-    frames: Frames,
-    calibration: Calibration,
-    *,
-    progress: ProgressWrapper = iter,
-) -> AxialProfiles:
-    """Return the mean LS and residual signal of the central square in each frame.
-
-    Parameters
-    ----------
-    frames : sequence of numpy.ndarray
-        Raw frames (rows, cols).
-    calibration : Calibration
-        With its bundle section and scale.
-    progress : callable
-        Wraps the iteration over frame numbers, for a progress bar.
-
-    Returns
-    -------
-    AxialProfiles
-        Systematic uncertainties are that of the residual gain, and the bias of means by rounding to grey levels.
-
-    Raises
-    ------
-    CalibrationError
-        If a section is missing, or the scale is unknown.
-    MeasurementError
-        If the square does not fit into the bundle.
-    """
-    bundle, um_per_px = calibration.measured_bundle, calibration.measured_um_per_px
-    if not len(frames):
-        raise InputError("the scan holds no frame", "record one at each depth")
-    diameter_um = bundle.diameter_px * um_per_px
-    if SQUARE_UM * np.sqrt(2) > diameter_um:
-        raise MeasurementError(
-            f"a square of {SQUARE_UM:.0f} um does not fit into the bundle of {diameter_um:.0f} um",
-            "check the calibration's um_per_px and diameter",
-        )
-    sectioner = Sectioner(calibration, frames[0].shape)
-    middle, half = (sectioner.side - 1) / 2, SQUARE_UM / um_per_px / 2
-    inside = slice(round(middle - half), round(middle + half) + 1)
-    ls, residual = np.empty((2, len(frames)))
-    image = np.empty((sectioner.side, sectioner.side), np.float32)
-    for k in progress(range(len(frames))):
-        frame = frames[k]
-        ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
-        residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
-    squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
-    zeros = [_zero_dn(frames, ls, calibration.background, square) for square in squares]
-    gain = bundle.residual_gain
-    return AxialProfiles(
-        ls, residual, SystematicUncertainty(zeros[0], zeros[1] / gain, bundle.residual_gain_uncertainty / gain)
-    )
-
-
-def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
-    return tuple(slice(max(round(at - half), 0), round(at + half)) for at in centre)
-
-
-def _zero_dn(frames: Frames, ls: Curve, background: NDArray[np.float32] | None, square: tuple[slice, ...]) -> float:
-    """Return the bias of a view's zero by rounding: its background hardly has a pattern that would average it out."""
-    if len(ls) < 2 or background is None or not np.issubdtype(frames[0].dtype, np.integer):
-        return 0.0
-    darkest = int(np.argmin(ls[:-1] + ls[1:]))
-    noise = pixel_noise_dn(frames[darkest][square], frames[darkest + 1][square])
-    return rounding_bias_dn(noise, background[square])
-
-
 def axial_response(
-    depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike, systematic: SystematicUncertainty = _NO_SYSTEMATIC
+    depths_um: ArrayLike,
+    ls: ArrayLike,
+    residual: ArrayLike,
+    systematic: SystematicUncertainty = _NO_SYSTEMATIC,
+    dark: DarkLevels | None = None,
 ) -> AxialResponse:
     """Estimate drop-off distances and kept signal from signals against depth.
 
@@ -262,6 +204,8 @@ def axial_response(
         Signals (T,) in grey levels, the background subtracted.
     systematic : SystematicUncertainty
         Uncertainties common to all depths; they add to those of the distances.
+    dark : DarkLevels, optional
+        Level of the pixels beside the views, by which a black level that is left in the signals is subtracted.
 
     Returns
     -------
@@ -273,7 +217,7 @@ def axial_response(
     InputError
         If the lengths differ, there are too few depths, or a number is not finite.
     MeasurementError
-        If there is no signal in contact.
+        If LS or ELS+ in contact does not stand out of its noise, or LS does not fall beyond contact.
 
     Examples
     --------
@@ -284,6 +228,11 @@ def axial_response(
     [60, 540, 30, 90]
     """
     depths, *signals = _checked(depths_um, ls, residual)
+    black = None
+    if dark is not None:
+        black = black_level(dark, *signals)
+        signals = [signals[0] - black.dn, signals[1] - black.dn / dark.residual_gain]
+        systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
@@ -301,9 +250,17 @@ def axial_response(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
             "is the laser on, and does the background belong to this scan?",
         )
-    if not els_fall.contact > 0:
-        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels"
+    # In contact both views have the shot noise of LS, of which little is left at most depths.
+    light = np.sqrt(np.maximum(of_ls.mean / ls_fall.contact, _MIN_LIGHT))
+    els_noise = float(np.hypot(noise_of_curve(of_els.depth, of_els.mean / light)[0], correlated_dn[0]))
+    if not (els_fall.contact > _MIN_SIGNAL_SIGMAS * els_noise and els_fall.contact > 0):
+        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels, its uncertainty {els_noise:.2g}"
         raise MeasurementError(problem, "is the residual's slit off the line?")
+    if contact == len(of_ls.depth) - 1:
+        raise MeasurementError(
+            f"the plate's signal is largest at the last depth, {of_ls.depth[contact] + 0.0:g} um",
+            "do the depths grow away from the probe, and are they in the order of the frames?",
+        )
     kept = els_fall.contact / ls_fall.contact
     return AxialResponse(
         depth_um=of_ls.depth,
@@ -320,6 +277,7 @@ def axial_response(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
+        black=black,
     )
 
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-from napari_elsplus.processing.analysis.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
+from napari_elsplus.processing.axial.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +24,10 @@ _DEGREE: Final = 3
 """Of the polynomial; derived: in the middle of its points a cubic has the variance of a parabola."""
 MIN_FITTED: Final = _DEGREE + 3
 """Smallest number of such depths; derived: two of them show what the cubic leaves over."""
+_INTERPOLATION_ERROR: Final = 1 / 3
+"""Standard deviation of an interpolated distance, part of the difference of straight lines through the shares and
+through their logarithms; measured: on eleven curves, the paper's two states among them, in steps of 5 to 50 um, errors
+are at most 0.6 of it, and half of them less than 0.06."""
 _ITERATIONS: Final = 3
 """Of the fit; chosen: the second changes the distance by less than a hundredth of its uncertainty."""
 
@@ -37,19 +42,31 @@ class DropOff:
         Distance and its standard deviation, micrometres.
     random_um : float
         Part of the latter that frames vary by, and that more frames reduce.
+    sampling_um : float
+        Part of it by interpolation between depths too far apart for a fit, which more depths reduce.
+    depths : int
+        Depths near the distance, of which a fit needs `MIN_FITTED`.
     """
 
     um: float
     uncertainty_um: float
     random_um: float = 0.0
+    sampling_um: float = 0.0
+    depths: int = 0
+
+    @property
+    def max_step_um(self) -> float:
+        """Step of the depths from which the curve can be fitted about the distance."""
+        return 2 * FITTED * self.um / MIN_FITTED
 
 
 class _Crossing(NamedTuple):
-    """Depth at which a level is reached, relative slope there (1/um), and relative variance of the signal there."""
+    """Depth at which a level is reached, relative slope (1/um) and relative variance there, error of interpolation."""
 
     at_um: float
     relative_slope: float
     variance: float
+    sampling_um: float = 0.0
 
 
 class FallingCurve:
@@ -88,8 +105,9 @@ class FallingCurve:
         below = int(np.argmax(share < level))
         if share[below] >= level:
             return DropOff(float("nan"), float("nan"))
-        between = self._interpolated(share, below, level)
-        crossing = self._fitted(between.at_um, level) or between
+        part = (level - share[below - 1]) / (share[below] - share[below - 1])
+        about_um = float(self._places[below - 1] + part * (self._places[below] - self._places[below - 1]))
+        crossing = self._fitted(about_um, level) or self._interpolated(share, below, level)
         correlated = np.interp(crossing.at_um, self._points.depth, self._correlated_dn) - level * self._correlated_dn[0]
         per_um = level * self.contact * abs(crossing.relative_slope)
         random_um = float(np.sqrt(crossing.variance + self._variance(1.0, self._contact_weight))) * (
@@ -97,14 +115,31 @@ class FallingCurve:
         )
         systematic_um = float(np.hypot((1 - level) * self._zero_dn, correlated)) / per_um
         distance_um = float(crossing.at_um - self._points.depth[0])
-        return DropOff(distance_um, float(np.hypot(random_um, systematic_um)), random_um)
+        uncertainty_um = float(np.linalg.norm([random_um, systematic_um, crossing.sampling_um]))
+        depths = int(np.count_nonzero(self._near(about_um)))
+        return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths)
+
+    def _near(self, about_um: float) -> NDArray[np.bool_]:
+        """Return the depths that are fitted about one, (depths,) bool."""
+        reach_um = FITTED * (about_um - self._points.depth[0])
+        return np.asarray(np.abs(self._points.depth - about_um) <= reach_um)
 
     def _interpolated(self, share: Curve, below: int, level: float) -> _Crossing:
-        """Return where the line through the points before and after a level reaches it."""
-        step, first = share[below] - share[below - 1], self._places[below - 1]
-        slope, part = step / (self._places[below] - first), (level - share[below - 1]) / step
+        """Return where a monotonic cubic through the logarithms of the points reaches a level; a line, if one is 0."""
+        (before, after), (first, last) = share[below - 1 : below + 1], self._places[below - 1 : below + 1]
+        part = (level - before) / (after - before)
         variance = (part**2 + (1 - part) ** 2) * self._variance(level, self._weight)
-        return _Crossing(float(first + (level - share[below - 1]) / slope), float(slope / level), variance)
+        positive = int(np.count_nonzero(share > 0))
+        log_after = np.log(after if below < positive else level / NEAR**2)
+        log_part = np.log(level / before) / (log_after - np.log(before))
+        sampling_um = _INTERPOLATION_ERROR * abs(part - log_part) * (last - first)
+        at_um, slope = first + part * (last - first), (after - before) / (last - first) / level
+        if below < positive:
+            curve = PchipInterpolator(self._places[:positive], np.log(share[:positive] / level))
+            crossings = curve.solve(0.0, extrapolate=False)
+            if len(crossings) == 1:
+                at_um, slope = crossings[0], curve.derivative()(crossings[0])
+        return _Crossing(float(at_um), float(slope), variance, float(sampling_um))
 
     def _fitted(self, about_um: float, level: float) -> _Crossing | None:
         """Return where an exponential of a cubic through the points about a depth reaches a level.
@@ -113,8 +148,7 @@ class FallingCurve:
         what the fit leaves over and by the scatter of repeated frames, pooled: noise that repeated frames have in
         common is in the former alone.
         """
-        reach_um = FITTED * (about_um - self._points.depth[0])
-        near = np.abs(self._points.depth - about_um) <= reach_um
+        reach_um, near = FITTED * (about_um - self._points.depth[0]), self._near(about_um)
         if np.count_nonzero(near) < MIN_FITTED:
             return None
         depth, mean, frames, weight, square = (values[near] for values in self._points)

@@ -7,13 +7,13 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.analysis.axial_notes import uncertainty_note
-from napari_elsplus.processing.analysis.axial_response import (
+from napari_elsplus.processing.axial.axial_notes import uncertainty_note
+from napari_elsplus.processing.axial.axial_response import (
     MAX_CHANCE,
     SystematicUncertainty,
-    axial_profiles,
     axial_response,
 )
+from napari_elsplus.processing.axial.profiles import axial_profiles
 
 DEPTH_UM = np.arange(0.0, 800.0, 2.0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.analysis.rounding import pixel_noise_dn, rounding_bias_dn
+from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
 
 
 @pytest.mark.parametrize("noise_dn", [0.2, 0.3, 0.4])

@@ -1,0 +1,100 @@
+"""Warnings and remedies of an axial response in words: bleaching, and drop-off distances that are uncertain."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from napari_elsplus.processing.axial.axial_response import MAX_CHANCE, MAX_UNCERTAINTY
+
+if TYPE_CHECKING:
+    from napari_elsplus.processing.axial.axial_response import AxialResponse
+
+MAX_FRAMES_ADVISED: Final = 100
+"""Multiple of the frames beyond which the cause of their scatter is to be removed instead; chosen: a scan of a minute
+would take hours."""
+
+
+def axial_notes(response: AxialResponse) -> list[str]:
+    """Return what restricts the distances of an axial response, a line each, with the remedy.
+
+    Parameters
+    ----------
+    response : AxialResponse
+        Of a scan.
+
+    Returns
+    -------
+    list of str
+        Lines that are warnings begin with "warning: ".
+    """
+    notes = (
+        _black_level_note(response),
+        _contact_note(response),
+        _bleaching_note(response),
+        uncertainty_note(response),
+    )
+    return [line for line in notes if line]
+
+
+def _black_level_note(response: AxialResponse) -> str:
+    black = response.black
+    if black is None or (black.background and not black.dn):
+        return ""
+    if black.background:
+        return (
+            f"warning: the black level changed by {black.dn:+.2g} grey levels since the background was recorded:"
+            " corrected; record the background again"
+        )
+    if not black.known:
+        return (
+            "warning: the calibration has no background, and the frames have no dark pixels beside the views: the"
+            " distances contain the black level; calibrate with a background"
+        )
+    return (
+        f"warning: the calibration has no background: the level beside the views, {black.dn:.3g} grey levels, was"
+        " subtracted, the bundle's own light was not; calibrate with a background"
+    )
+
+
+def _contact_note(response: AxialResponse) -> str:
+    if not response.contact_assumed:
+        return ""
+    return (
+        f"contact was taken to be the first depth, {response.contact_um:g} um, not seen: begin the scan before contact,"
+        " or count the depths from it"
+    )
+
+
+def _bleaching_note(response: AxialResponse) -> str:
+    if response.loss is None:
+        return "no depth was recorded again: bleaching is not seen; record the scan there and back"
+    if not response.loss.significant:
+        return ""
+    lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
+    return f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
+
+
+def uncertainty_note(response: AxialResponse) -> str:
+    """Return the warning that ELS+ distances are uncertain, with the remedy; empty if they are not.
+
+    Parameters
+    ----------
+    response : AxialResponse
+        Of a scan.
+    """
+    advised, least = response.frames_advised, response.least_certain
+    if advised == 1 and response.uncertainty <= MAX_UNCERTAINTY:
+        return ""
+    remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
+    # Between depths far apart the bend of the curve counts as scatter, too: finer steps reduce both.
+    if least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
+        depths = f"{least.depths} {'depth' if least.depths == 1 else 'depths'}"
+        level = "3 dB" if least is response.els_3db else "10 dB"
+        remedy = f"{depths} near the {level} point: record at steps of at most {least.max_step_um:.2g} um there"
+    elif advised == 1 and response.chance > MAX_CHANCE:
+        remedy = "more frames would not help, the plate has bleached: lower the laser's power, or take a fresh plate"
+    elif advised > MAX_FRAMES_ADVISED:
+        remedy = "more frames would not help: the line jitters or the light varies from frame to frame"
+    elif advised > 1:
+        remedy = f"record {advised} times as many frames at each depth"
+    return f"warning: ELS+ distances are uncertain by {100 * response.uncertainty:.1f} %: {remedy}"
