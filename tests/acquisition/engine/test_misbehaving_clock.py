@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.io import open_recording
@@ -88,6 +89,13 @@ def test_frames_that_are_never_fresh_are_not_awaited_without_end(engine: Engine)
     with pytest.raises(DeviceError, match="0 of 3 frames"):
         engine.fresh_frames(3, begun_s)
     assert time.perf_counter() - begun_s < 4.0
+
+
+def test_slow_frames_are_awaited_by_their_own_period(engine: Engine) -> None:
+    """Before: "0 of 1 frames came: check the camera", of a camera that was only slow."""
+    engine.configure(Settings("240hz", frame_rate_hz=0.9))
+    engine.start()
+    assert engine.fresh_frames(1).shape == (1, 524, 1328)
 
 
 def test_parking_ends_whoever_waits_for_frames(engine: Engine) -> None:

@@ -34,6 +34,8 @@ ENDING: Final = frozenset({"camera", "scanner", "engine"})
 """Sources of faults that end a stream."""
 AGREEMENT_TIMEOUT_S: Final = 0.5
 """Time in which a frame has to come that is compared with the calibration; chosen: a stream then ends without delay."""
+AWAITED_PERIODS: Final = 5
+"""Frame periods in which a frame has to come at least; chosen: a slow camera discards two, and reads out one."""
 MIN_DEPTH: Final = 64
 """Frames in the stream at least; chosen: for rates at which 2 s are few frames."""
 
@@ -226,7 +228,7 @@ class Run:
         after_s : float
             On the clock of ``time.perf_counter``.
         timeout_s : float
-            Time to wait for each, once that moment has come.
+            Time to wait for each, once that moment has come, beside some frame periods.
         check : callable
             Called between frames; what it raises ends the wait.
 
@@ -241,6 +243,7 @@ class Run:
             If they do not come.
         """
         cursor = self._stream.join()
+        timeout_s += AWAITED_PERIODS / self.frame_rate_hz
         frames = np.empty((count, *self._stream.frame_shape), np.uint8)
         got = 0
         try:
