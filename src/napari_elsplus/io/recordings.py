@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io.calibration_lookup import find_calibration
 from napari_elsplus.io.formats.registry import format_to_read
 from napari_elsplus.io.formats.source import FrameSource, decoding
@@ -176,6 +177,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     ...     recording
     <Recording dark.npy: 5 frames of 40 x 60, uint8>
     """
+    require_path(path)
     path = Path(path)
     with decoding(path), warnings.catch_warnings():
         warnings.simplefilter(
