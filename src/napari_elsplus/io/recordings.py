@@ -109,6 +109,13 @@ class Recording(ClosedOnExit):
             return self._open().frame_numbers()
 
     @property
+    def holds_raw_frames(self) -> bool:
+        """True if the file contains a calibration, and no image type: raw frames of this package, not images."""
+        settings = self.metadata.get("settings")
+        mode = settings.get("mode", "raw") if isinstance(settings, dict) else "raw"  # a raw layer is saved with "raw"
+        return self._calibration_text is not None and mode == "raw"
+
+    @property
     def calibration(self) -> Calibration | None:
         """Calibration that lies beside the recording (with its background), else the one in it, else None.
 

@@ -155,8 +155,9 @@ def mosaic(
     Raises
     ------
     InputError
-        If there are no frames, none could be tracked, raw frames have no calibration, or finished images have one; for
-        ``"cores"`` also if the cores are not resolved, or the frames did not move.
+        If there are no frames, none could be tracked, raw frames have no calibration or are given as finished images,
+        or finished images have a calibration; for ``"cores"`` also if the cores are not resolved, or the frames did not
+        move.
     CalibrationError
         If the calibration does not fit the frames.
     """
@@ -226,10 +227,15 @@ def track(
 
 
 def _check_arguments(raw: Frames, calibration: Calibration | None, mode: Mode | str | None, *, finished: bool) -> None:
-    """Raise an error if raw frames have no calibration, or finished images a calibration or a mode."""
+    """Raise an error if raw frames have no calibration or are taken for finished, or finished images have either."""
     require_frames(raw)
     if finished and calibration is not None:
         raise InputError("finished images have no calibration", "leave out the calibration, or `finished`")
+    if finished and isinstance(raw, Recording) and raw.holds_raw_frames:
+        raise InputError(
+            f"{raw.path.name} contains raw frames, two views side by side, and the calibration of their rig",
+            "leave out --finished (in Python `finished`), so that the images made of them are tracked",
+        )
     if finished and mode is not None:
         raise InputError(f"finished images have no mode, {mode} was given", "leave out the mode, or `finished`")
     if not finished and calibration is None:

@@ -12,6 +12,7 @@ import pytest
 import tifffile
 
 import napari_elsplus as elsplus_module
+from napari_elsplus.io import ImageMetadata, write_images
 
 Cli = Callable[..., Any]
 OUTPUT = {"process": "out.ome.tif", "compare": "out.png", "mosaic": "out.ome.tif"}
@@ -67,3 +68,21 @@ def test_the_one_that_was_found_is_not_overwritten(elsplus: Cli, raw: Path) -> N
     run = elsplus("mosaic", raw, "-o", raw.with_name("m.ome.tif"), "--track", file, "--force")
     assert run.code != 0
     assert "is read, and would be overwritten" in run.err
+
+
+def test_raw_frames_are_refused_as_finished_images(elsplus: Cli, raw: Path, tmp_path: Path) -> None:
+    run = elsplus("mosaic", raw, "--finished", "-o", tmp_path / "m.ome.tif")
+    assert run.code != 0
+    (line,) = run.err.strip().splitlines()
+    assert "moving.ome.tif contains raw frames" in line
+    assert "leave out" in line
+    with elsplus_module.open_recording(raw) as recording:
+        assert recording.holds_raw_frames
+        layer = ImageMetadata(settings={"mode": "raw"}, calibration=recording.calibration)
+        write_images(tmp_path / "raw-layer.ome.tif", iter(recording), layer)
+        elsplus_module.section(recording, recording.calibration).save(tmp_path / "els.ome.tif")
+    with elsplus_module.open_recording(tmp_path / "raw-layer.ome.tif") as saved:
+        assert saved.holds_raw_frames, "as napari saves the layer"
+    with elsplus_module.open_recording(tmp_path / "els.ome.tif") as images:
+        assert not images.holds_raw_frames, "a calibration is kept in images, too"
+    assert elsplus("mosaic", tmp_path / "els.ome.tif", "--finished", "-o", tmp_path / "m.ome.tif").code == 0
