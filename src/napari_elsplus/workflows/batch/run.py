@@ -75,7 +75,7 @@ def batch(
     Parameters
     ----------
     source : path-like
-        Folder of recordings, or a text file with one path per line.
+        Folder of recordings, whose subfolders are not searched, or a text file with one path per line.
     output : path-like
         Folder for the results: ``NAME/els.ome.tif`` (after the mode), ``NAME/mosaic.ome.tif``, ``NAME/track.csv``,
         ``table.csv`` and ``contact-sheet.png``.
