@@ -1,6 +1,7 @@
 """A camera driver of one's own: frames of a recording, played in a loop at the rate that was configured.
 
-Its rig file is ``playback.toml`` in this folder; docs/extending-camera.md goes through both.
+A module that a rig file imports: running it as a script does nothing. The rig file is ``playback.toml`` in this folder;
+docs/extending-camera.md goes through both.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A dock widget of another package: mean ELS+ signal of the live stream, or of the frames of a layer.
 
-Declared in the manifest of that package (see docs/extending-dock-widget.md), or added to a viewer from a script:
+A module that is imported: running it as a script does nothing. It is declared in the manifest of that package (see
+docs/extending-dock-widget.md), or added to a viewer from a script:
 ``viewer.window.add_dock_widget(MeanSignalPanel(viewer), name="Mean signal")``.
 """
 

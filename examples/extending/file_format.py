@@ -70,5 +70,10 @@ def read_header(path: Path) -> dict[str, float]:
 FORMAT = register_format(FileFormat("raw binary", (".bin",), RawBinary))
 
 if __name__ == "__main__":
-    with open_recording(sys.argv[1]) as recording:
-        sys.stdout.write(f"{recording}, {recording.metadata}\n")
+    if len(sys.argv) != 2:
+        sys.exit("usage: python file_format.py NAME.bin")
+    try:
+        with open_recording(sys.argv[1]) as recording:
+            print(f"{recording}, {recording.metadata}")
+    except InputError as error:
+        sys.exit(str(error))

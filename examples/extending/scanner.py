@@ -1,7 +1,7 @@
 """A scanner driver of one's own, as small as one can be: for a bench whose line does not move.
 
 Implements `napari_elsplus.hardware.protocols.Scanner`. It refuses to hold or scan, so that nothing above it can
-take a scan for granted.
+take a scan for granted. A module that the rig file ``playback.toml`` imports: running it as a script does nothing.
 """
 
 from __future__ import annotations

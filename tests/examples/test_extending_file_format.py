@@ -45,6 +45,18 @@ def test_it_runs_as_a_script(tmp_path):
     assert f"<Recording scan.bin: {count} frames of {rows} x {cols}, uint8>" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [((), "usage: python file_format.py NAME.bin"), (("absent.bin",), "there is no file absent.bin")],
+)
+def test_as_a_script_it_states_in_one_line_what_is_missing(tmp_path, arguments, words):
+    command = [sys.executable, str(EXAMPLE), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert words in line
+
+
 @pytest.mark.usefixtures("registered")
 def test_recordings_help_dialogs_and_names_beside_use_it(tmp_path):
     path = write_raw(tmp_path)

@@ -11,6 +11,7 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.priority import settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
+from napari_elsplus.instrument.arguments import require_calibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -99,6 +100,8 @@ def open_engine(
     CalibrationError
         If the calibration does not fit the frames.
     """
+    if calibration is not None:
+        require_calibration(calibration)
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
             use_simulated_calibration(opened, engine, progress=lambda step: lambda numbers: progress(numbers, step))

@@ -12,12 +12,15 @@ from rich.console import Console
 from rich.progress import Progress, ProgressColumn, Task
 from rich.text import Text
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import refuse_existing
 from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io import Recording
 
     Item = TypeVar("Item")
 
@@ -112,8 +115,9 @@ SEED = click.IntRange(0, (1 << 31) - 1)
 """Seeds that every random generator in use takes: 31 bits."""
 
 calibration_option = click.option(
-    "-c", "--calibration", type=FILE, required=True, help="Calibration file, as written by `calibrate`."
-)
+    "-c", "--calibration", type=FILE,
+    help="Calibration file, as written by `calibrate`; by default the one beside or in RAW.",
+)  # fmt: skip
 output_option = click.option("-o", "--output", type=FILE, required=True, help="File to write.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
 
@@ -150,6 +154,35 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
             raise InputError(f"{path} is named twice", "name another file for one of them")
+
+
+def calibration_to_read(recording: Path, chosen: Path | None) -> Path | None:
+    """Return the file `chosen` with -c, else the one beside a `recording`; None if only the recording contains one."""
+    from napari_elsplus.io import calibration_beside
+
+    return calibration_beside(recording) if chosen is None else chosen
+
+
+def own_calibration(recording: Recording, remedy: str = "name one with -c") -> Calibration:
+    """Return the calibration beside or in a recording, and print which it is.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open.
+    remedy : str
+        What the error tells the user to do.
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or it is broken.
+    """
+    found, file = recording.find_calibration()
+    if found is None:
+        raise CalibrationError(f"there is no calibration in or beside {recording.path.name}", remedy)
+    click.echo(f"calibration: {file or f'the one in {recording.path}'}")
+    return found
 
 
 def calibration_files(path: Path | None) -> tuple[Path, ...]:

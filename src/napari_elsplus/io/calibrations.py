@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.arguments import require_calibration, require_path
 from napari_elsplus.instrument.calibration import ARRAYS, ARRAYS_KEY, DISTORTION_SHAPE, Calibration
 from napari_elsplus.io.atomic import refuse_existing, replacing
 
@@ -56,6 +57,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     UserWarning
         If another array is absent that was saved with it.
     """
+    require_path(path)
     path = Path(path)
     text = _read_text(path)
     calibration = parse_calibration(text, name=path.name)
@@ -101,6 +103,8 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
     CalibrationError
         If the record cannot be written as JSON, or `path` does not end in .json.
     """
+    require_path(path)
+    require_calibration(calibration)
     path = Path(path)
     if path.suffix.lower() != ".json":
         raise CalibrationError(f"{path.name} is no name for a calibration", "let it end in .json")

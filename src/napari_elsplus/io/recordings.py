@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io.calibration_lookup import find_calibration
 from napari_elsplus.io.formats.registry import format_to_read
 from napari_elsplus.io.formats.source import FrameSource, decoding
@@ -108,6 +109,13 @@ class Recording(ClosedOnExit):
             return self._open().frame_numbers()
 
     @property
+    def holds_raw_frames(self) -> bool:
+        """True if the file contains a calibration, and no image type: raw frames of this package, not images."""
+        settings = self.metadata.get("settings")
+        mode = settings.get("mode", "raw") if isinstance(settings, dict) else "raw"  # a raw layer is saved with "raw"
+        return self._calibration_text is not None and mode == "raw"
+
+    @property
     def calibration(self) -> Calibration | None:
         """Calibration that lies beside the recording (with its background), else the one in it, else None.
 
@@ -176,6 +184,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     ...     recording
     <Recording dark.npy: 5 frames of 40 x 60, uint8>
     """
+    require_path(path)
     path = Path(path)
     with decoding(path), warnings.catch_warnings():
         warnings.simplefilter(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
@@ -61,11 +62,13 @@ def measure_axial_response(
     ----------
     .. [1] A. D. Thrapp, M. R. Hughes, J. Biomed. Opt. 26 (2021), Sec. 3.1.
     """
+    require_frames(scan)
     path: Path | None = getattr(scan, "path", None)
     name = "the scan" if path is None else path.name
     known = getattr(scan, "calibration", None) if calibration is None else calibration
     if known is None:
         raise CalibrationError(f"there is no calibration in or beside {name}", "name one with -c")
+    require_calibration(known)
     depths = _depths_beside(path) if depth_um is None else depth_um
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from napari_elsplus.instrument.arguments import require_frames
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.workflows.progress import without_display
@@ -89,6 +90,7 @@ def calibrate(
         def frames(source: Source) -> Frames:
             if isinstance(source, str | os.PathLike):
                 return stack.enter_context(open_recording(source))
+            require_frames(source)
             return source
 
         return measure(

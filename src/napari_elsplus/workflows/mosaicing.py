@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.images.sectioning import Mode
@@ -154,12 +155,13 @@ def mosaic(
     Raises
     ------
     InputError
-        If there are no frames, none could be tracked, raw frames have no calibration, or finished images have one; for
-        ``"cores"`` also if the cores are not resolved, or the frames did not move.
+        If there are no frames, none could be tracked, raw frames have no calibration or are given as finished images,
+        or finished images have a calibration; for ``"cores"`` also if the cores are not resolved, or the frames did not
+        move.
     CalibrationError
         If the calibration does not fit the frames.
     """
-    _check_arguments(calibration, mode, finished=finished)
+    _check_arguments(raw, calibration, mode, finished=finished)
     if flat is not None and not (finished and Insertion(insertion) is Insertion.CORES):
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
@@ -212,7 +214,7 @@ def track(
         A row for every frame (for every second frame with ELSA): position of the probe in camera pixels and
         micrometres, relative to the first frame of its segment, with its standard deviation and state.
     """
-    _check_arguments(calibration, mode, finished=finished)
+    _check_arguments(raw, calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
     times_s = _times_s(raw, calibration) if times_s is None else times_s
     if note := frame_rate_note(calibration, times_s):
@@ -224,14 +226,22 @@ def track(
     return pipeline.rows
 
 
-def _check_arguments(calibration: Calibration | None, mode: Mode | str | None, *, finished: bool) -> None:
-    """Raise an error if raw frames have no calibration, or finished images a calibration or a mode."""
+def _check_arguments(raw: Frames, calibration: Calibration | None, mode: Mode | str | None, *, finished: bool) -> None:
+    """Raise an error if raw frames have no calibration or are taken for finished, or finished images have either."""
+    require_frames(raw)
     if finished and calibration is not None:
         raise InputError("finished images have no calibration", "leave out the calibration, or `finished`")
+    if finished and isinstance(raw, Recording) and raw.holds_raw_frames:
+        raise InputError(
+            f"{raw.path.name} contains raw frames, two views side by side, and the calibration of their rig",
+            "leave out --finished (in Python `finished`), so that the images made of them are tracked",
+        )
     if finished and mode is not None:
         raise InputError(f"finished images have no mode, {mode} was given", "leave out the mode, or `finished`")
     if not finished and calibration is None:
         raise InputError("raw frames need a calibration", "give one, or `finished` for finished images")
+    if calibration is not None:
+        require_calibration(calibration)
 
 
 def _tracked(
@@ -252,6 +262,9 @@ def _tracked(
     """
     if frame_numbers is None and isinstance(raw, Recording):
         frame_numbers = raw.frame_numbers
+    for name, values in (("times", times_s), ("frame numbers", frame_numbers)):
+        if values is not None and len(values) != len(raw):
+            raise InputError(f"{len(values)} {name} for {len(raw)} frames", "give one for each frame")
     pairs = RawPairs(raw, mode, frame_numbers)
     note = ""
     if calibration is None:

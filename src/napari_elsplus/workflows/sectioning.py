@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from napari_elsplus.errors import CalibrationError, InputError
+from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, allocate_images, fill_images, write_images
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
@@ -116,7 +117,7 @@ class SectionedImages:
     Raises
     ------
     InputError
-        If there are no frames, or only one and ELSA needs two.
+        If there are no frames, or only one and ELSA needs two, or the arguments are of another kind.
     CalibrationError
         If the calibration does not fit the frames, or lacks what the options need.
 
@@ -136,6 +137,8 @@ class SectionedImages:
         row_reference: bool = True,
         row_power: bool = False,
     ) -> None:
+        require_frames(raw)
+        require_calibration(calibration)
         self.mode, self.calibration, self._raw = Mode(mode), calibration, raw
         self._pairs = RawPairs(raw, self.mode)
         rows, cols = raw[0].shape

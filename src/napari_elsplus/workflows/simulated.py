@@ -26,7 +26,7 @@ from napari_elsplus.io import (
 from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.frames import RenderedFrames
@@ -146,6 +146,7 @@ def simulate_recording(
     InputError
         If there is no such scene or path, the path leaves the scene, or the optics do not fit the camera region.
     """
+    Imperfections.require(imperfections)
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
     )
@@ -189,7 +190,8 @@ def simulate_axial_scan(
     SimulatedRecording
         With `depth_um`.
     """
-    line = LINE_MODELS[state]
+    Imperfections.require(imperfections)
+    line = _line_model(state)
     instrument = lit_for_plate(
         Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=line, imperfections=imperfections)
     )
@@ -285,8 +287,9 @@ def simulate_calibration(
     -------
     SimulatedCalibrationFrames
     """
+    Imperfections.require(imperfections)
     instrument = Instrument.of(
-        preset, slit_um=slit_um, offset_um=offset_um, line=LINE_MODELS[state], imperfections=imperfections
+        preset, slit_um=slit_um, offset_um=offset_um, line=_line_model(state), imperfections=imperfections
     )
     volts = calibration_scenes.sweep_volts(instrument)
     return SimulatedCalibrationFrames(
@@ -309,6 +312,12 @@ def _simulated(
 ) -> SimulatedRecording:
     calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument))
     return SimulatedRecording(render, count, calibration, {**truth.geometry(instrument), **facts}, depth_um)
+
+
+def _line_model(state: str) -> LineModel:
+    if state not in LINE_MODELS:
+        raise InputError(f"there is no line model {state!r}", f"choose one of {', '.join(LINE_MODELS)}")
+    return LINE_MODELS[state]
 
 
 def _scene(name: str, seed: int, um_per_px: float | None, camera_um_per_px: float) -> Scene:

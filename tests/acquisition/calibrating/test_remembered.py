@@ -16,6 +16,9 @@ from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.galvo import GalvoModel
 from napari_elsplus.instrument.optics import preset
+from napari_elsplus.processing.calibration.file_options import OWN_STEPS
+from napari_elsplus.processing.calibration.step import REGISTERED
+from napari_elsplus.processing.calibration.steps import BACKGROUND, calibration_steps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,6 +85,20 @@ def test_other_devices_and_other_software_measure_again(
     monkeypatch.setattr(remembered, "software_fingerprint", lambda: "edited")
     files.add(remembered.remembered_file(Simulation(), engine.setup))
     assert len(files) == 4
+
+
+def test_a_step_that_another_package_adds_is_measured(
+    rig: Rig, engine: Engine, measured: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert {step.key for step in calibration_steps()} == OWN_STEPS
+    start(rig, engine)
+    monkeypatch.setitem(REGISTERED, "read_noise", replace(BACKGROUND, key="read_noise"))
+    start(rig, engine)
+    start(rig, engine)
+    assert measured == ["240hz", "240hz"]
+    monkeypatch.delitem(REGISTERED, "read_noise")
+    start(rig, engine)
+    assert len(measured) == 2, "without it the first calibration is recalled"
 
 
 def test_a_broken_file_and_a_folder_that_refuses_cost_only_time(

@@ -148,6 +148,8 @@ def test_raw_frames_without_a_calibration_are_refused(
     run = elsplus("mosaic", finished[0], "-o", tmp_path / "m.tif")
     assert run.code == 2
     assert len(run.err.strip().splitlines()) == 1
+    assert "no calibration in or beside finished.tif" in run.err
+    assert "-c" in run.err
     assert "--finished" in run.err
 
 

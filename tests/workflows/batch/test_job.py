@@ -43,6 +43,18 @@ def test_a_list_is_relative_to_itself_and_names_alike_get_their_folders(tmp_path
     assert [Path(item.recording) for item in items] == files
 
 
+def test_a_folder_with_recordings_in_subfolders_alone_names_them_in_the_error(tmp_path: Path) -> None:
+    touched(tmp_path / "day" / "monday" / "scan.ome.tif")
+    with pytest.raises(
+        InputError, match="day names no recordings, and subfolders are not searched: give a list"
+    ) as raised:
+        find_items(tmp_path / "day")
+    assert "monday" in str(raised.value)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty names no recordings: give a folder"):
+        find_items(tmp_path / "empty")
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [("", "names no recordings"), ("a/scan.tif\na/scan.tif\n", "two recordings are called a-scan")],

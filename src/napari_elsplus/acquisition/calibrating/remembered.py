@@ -1,7 +1,7 @@
 """Calibrations of simulated rigs, remembered between starts in the user's cache folder.
 
-A simulated rig gives the same calibration whenever its devices, the camera's settings and the software are the same:
-the file's name is a hash of all three. The folder may be deleted at any time.
+A simulated rig gives the same calibration whenever its devices, the camera's settings, the calibration steps and the
+software are the same: the file's name is a hash of all four. The folder may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.calibrations import read_calibration, write_calibration
 from napari_elsplus.io.user_folders import cache_folder, software_fingerprint
+from napari_elsplus.processing.calibration.file_options import OWN_STEPS, added_steps
+from napari_elsplus.processing.calibration.step import REGISTERED
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,8 +41,17 @@ def remembered_file(simulation: Simulation, setup: CameraSetup) -> Path:
         The camera's settings.
     """
     devices = {part.name: getattr(simulation, part.name) for part in fields(simulation) if part.name not in PLAYED}
-    key = hashlib.sha256(f"{software_fingerprint()} {devices} {setup.acquired_with} {setup.frame_shape}".encode())
-    return cache_folder() / "calibrations" / f"simulated-{key.hexdigest()[:16]}.json"
+    facts = f"{software_fingerprint()} {devices} {setup.acquired_with} {setup.frame_shape} {_steps_of_others()}"
+    return cache_folder() / "calibrations" / f"simulated-{hashlib.sha256(facts.encode()).hexdigest()[:16]}.json"
+
+
+def _steps_of_others() -> list[str]:
+    """Keys of the registered steps of other packages and scripts; the modules that compute stay unimported without."""
+    if not (REGISTERED or added_steps()):
+        return []
+    from napari_elsplus.processing.calibration.steps import calibration_steps
+
+    return sorted(step.key for step in calibration_steps() if step.key not in OWN_STEPS)
 
 
 def recall_calibration(path: Path) -> Calibration | None:

@@ -49,6 +49,8 @@ def command(
 ) -> None:
     """Section every recording of a folder, or of a text file with one path per line.
 
+    Subfolders are not searched: name their recordings in a list.
+
     Writes OUTPUT/NAME/els.ome.tif (mosaic.ome.tif and track.csv with --mosaic; .ome.zarr with --format ome-zarr),
     OUTPUT/table.csv with a row per recording, and OUTPUT/contact-sheet.png. The same command resumes an interrupted
     batch. Local workers and their dashboard listen on 127.0.0.1 only. Exits 1 if any recording failed.

@@ -11,8 +11,10 @@ from napari_elsplus.cli.options import (
     ReadingCommand,
     calibration_files,
     calibration_option,
+    calibration_to_read,
     force_option,
     output_option,
+    own_calibration,
     refuse_outputs,
 )
 
@@ -26,17 +28,17 @@ if TYPE_CHECKING:
 @click.option("--frame", default=0, show_default=True, help="Index of the raw frame; ELSA also takes the next.")
 @output_option
 @force_option
-def command(raw: Path, calibration: Path, frame: int, output: Path, force: bool) -> None:
+def command(raw: Path, calibration: Path | None, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
     from napari_elsplus.io import open_recording, read_calibration
     from napari_elsplus.workflows.pictures.comparison import TITLES, compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
-    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration)))
+    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
     refuse_format(output)
-    record = read_calibration(calibration)
+    record = None if calibration is None else read_calibration(calibration)
     with open_recording(raw) as recording:
-        comparison = compare(recording, record, frame)
+        comparison = compare(recording, record or own_calibration(recording), frame)
     comparison.save(output, force=force)
     for mode, title in TITLES.items():
         levels = comparison.contrast(mode)

@@ -12,9 +12,12 @@ from napari_elsplus.cli.options import (
     LazyHelp,
     ReadingCommand,
     calibration_files,
+    calibration_option,
+    calibration_to_read,
     force_option,
     image_types,
     output_option,
+    own_calibration,
     progress,
     refuse_outputs,
 )
@@ -47,7 +50,7 @@ def _insertions() -> list[str]:
 
 @click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
-@click.option("-c", "--calibration", type=FILE, help="Calibration of the rig that recorded RAW (JSON).")
+@calibration_option
 @click.option(
     "--mode",
     type=LazyChoice(image_types),
@@ -92,13 +95,14 @@ def command(
     if finished and (calibration is not None or mode is not None):
         given = "-c" if calibration is not None else "--mode"
         raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
-    if not finished and calibration is None:
-        raise InputError("raw frames need a calibration", "give -c CAL, or --finished for finished images")
-    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(calibration)))
+    read = None if finished else calibration_to_read(raw, calibration)
+    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)))
     format_to_write(output)
     record = None if calibration is None else read_calibration(calibration)
     even = None if flat is None else _mean_frame(flat)
     with open_recording(raw) as recording:
+        if not finished and record is None:
+            record = own_calibration(recording, "name one with -c, or give --finished for finished images")
         result = make_mosaic(
             recording, record, mode, finished=finished, method=method, insertion=insertion, flat=even,
             progress=progress,

@@ -12,9 +12,11 @@ from napari_elsplus.cli.options import (
     ReadingCommand,
     calibration_files,
     calibration_option,
+    calibration_to_read,
     force_option,
     image_types,
     output_option,
+    own_calibration,
     progress,
     refuse_outputs,
 )
@@ -62,7 +64,7 @@ def _core_filters() -> list[str]:
 @force_option
 def command(
     raw: Path,
-    calibration: Path,
+    calibration: Path | None,
     mode: str,
     cores: str,
     flat_field: bool,
@@ -76,13 +78,13 @@ def command(
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.sectioning import section
 
-    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration)))
+    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
     format_to_write(output)
-    record = read_calibration(calibration)
+    record = None if calibration is None else read_calibration(calibration)
     with open_recording(raw) as recording:
         images = section(
             recording,
-            record,
+            record or own_calibration(recording),
             mode,
             cores=cores,
             flat_field=flat_field,

@@ -71,6 +71,9 @@ def measure(
     MeasurementError
         If a step finds no line or no pair.
     """
+    options = [step.option for step in calibration_steps() if step.option]
+    if unknown := [name for name in added if name not in options]:
+        raise InputError(f"no calibration step takes {unknown[0]!r}", f"choose among {', '.join(options)}")
     inputs = {"line": line, "sweep": sweep, "bundle": bundle, "background": background, "flat": flat, **added}
     given = {name: frames for name, frames in inputs.items() if frames is not None}
     _check_shapes(given)

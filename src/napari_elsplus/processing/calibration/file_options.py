@@ -25,6 +25,8 @@ FLAT: Final = FileOption("flat", "Frames of a uniform scene; the bundle's image 
 
 FILE_OPTIONS: Final = {"offset": OFFSET, "galvo": GALVO, "pair": PAIR, "background": BACKGROUND, "flat": FLAT}
 """Options of this package's steps, by the key of the step."""
+OWN_STEPS: Final = frozenset({*FILE_OPTIONS, "lag"})
+"""Keys of this package's steps; the scan lag is measured live only."""
 
 
 @cache

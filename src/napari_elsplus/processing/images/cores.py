@@ -8,7 +8,6 @@ field, and rebuilds the image between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import ceil, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +18,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial import Delaunay, cKDTree
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ _READING_SIGMA_PITCHES: Final = 0.2
 """Sigma of the Gaussian with which a core is read, core pitches; chosen: half of the filter's, within one core."""
 
 
-class CoreFilter(StrEnum):
+class CoreFilter(Choice):
     """Filter that suppresses the core pattern."""
 
     NONE = "none"

@@ -11,8 +11,9 @@ Thrapp and Hughes, J. Biomed. Opt. 26, 056501 (2021), doi:10.1117/1.JBO.26.5.056
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Protocol
+
+from napari_elsplus.instrument.arguments import Choice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,7 +54,7 @@ def elsa_pair(frame_number: int) -> tuple[int, int]:
     return elsa_frames(frame_number // FRAMES_PER_IMAGE)
 
 
-class Mode(StrEnum):
+class Mode(Choice):
     """Image type that is made of raw frames."""
 
     LS = "ls"

@@ -6,13 +6,13 @@ inserted: each row of the mosaic is interpolated between two rows of the frame, 
 
 from __future__ import annotations
 
-from enum import StrEnum
 from functools import cached_property
 from math import ceil, floor, hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
@@ -49,7 +49,7 @@ STILL: Final = Velocity(0.0, 0.0)
 """Velocity of a probe at rest, pixels per frame period."""
 
 
-class Insertion(StrEnum):
+class Insertion(Choice):
     """Rule by which a frame is combined with what was inserted before."""
 
     DEAD_LEAF = "dead-leaf"

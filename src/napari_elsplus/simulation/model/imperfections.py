@@ -184,6 +184,20 @@ class Imperfections:
         rng = np.random.default_rng((_DRAW, seed))
         return cls(**{_FIELDS[name]: _draw(parameter.plausible, rng) for name, parameter in PARAMETERS.items()})
 
+    @classmethod
+    def require(cls, imperfections: object) -> None:
+        """Refuse `imperfections` as text or as a table, which have to be read first, and anything else.
+
+        Raises
+        ------
+        InputError
+            If they are no record of this class.
+        """
+        if not isinstance(imperfections, cls):
+            reader = "parse" if isinstance(imperfections, str) else "of"
+            given = f"{imperfections!r:.60}"
+            raise InputError(f"imperfections are given as {given}", f"give `Imperfections.{reader}({given})`")
+
     @property
     def changed(self) -> dict[str, float]:
         """Values that differ from the ideal instrument's, by name."""

@@ -167,6 +167,12 @@ def find_items(source: Path) -> list[BatchItem]:
     """
     recordings = _in_folder(source) if source.is_dir() else _in_list(source)
     if not recordings:
+        inside = sorted(path.name for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
+        if inside := [name for name in inside if not name.startswith(".")]:
+            raise InputError(
+                f"{source} names no recordings, and subfolders are not searched",
+                f"give a list of the recordings, or one of the folders in it: {', '.join(inside):.80}",
+            )
         raise InputError(f"{source} names no recordings", f"give a folder or a list of: {supported_recordings()}")
     names = _names(recordings)
     return [BatchItem(name, str(path)) for name, path in zip(names, recordings, strict=True)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.modes import Mode
@@ -74,7 +75,7 @@ def batch(
     Parameters
     ----------
     source : path-like
-        Folder of recordings, or a text file with one path per line.
+        Folder of recordings, whose subfolders are not searched, or a text file with one path per line.
     output : path-like
         Folder for the results: ``NAME/els.ome.tif`` (after the mode), ``NAME/mosaic.ome.tif``, ``NAME/track.csv``,
         ``table.csv`` and ``contact-sheet.png``.
@@ -110,6 +111,8 @@ def batch(
     """
     if scheduler is not None and workers is not None:
         raise InputError(f"the scheduler {scheduler} has workers of its own", "give a number of workers without it")
+    for path in (source, output):
+        require_path(path)
     if calibration is not None:
         read_calibration(calibration)  # refused here, once
     _require_format(file_format)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
@@ -127,6 +128,8 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
     CalibrationError
         If the calibration does not fit the recording.
     """
+    require_frames(raw)
+    require_calibration(calibration)
     if not 0 <= frame < len(raw) - 1:
         raise InputError(
             f"frame {frame} and the one after it are needed, the recording has {len(raw)} frames",

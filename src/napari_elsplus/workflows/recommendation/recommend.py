@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.arguments import require_calibration
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.images.sectioning import line_offset_px
 from napari_elsplus.simulation.model.axial_response import LineModel, axial_response, drop_offs, signal_kept
@@ -112,6 +113,7 @@ def recommend(
     InputError
         If the depth or the fraction is impossible, or no offset keeps as much.
     """
+    require_calibration(calibration)
     if not (isfinite(depth_um) and depth_um > 0):
         raise InputError(f"the depth is {depth_um:g} um", "give a positive number")
     if not 0 < keep < 1:
