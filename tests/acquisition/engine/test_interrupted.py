@@ -11,7 +11,8 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.io import open_recording
 
-PLACES = ["galvo.try_to_park", "galvo.watch_frames", "_run._agreement.stop", "_run._camera_worker.join"]
+PLACES = {"galvo.try_to_park": "close", "galvo.watch_frames": "stop", "_run._camera_worker.join": "close"}
+"""Where the interruption comes, and what completes the stop."""
 
 
 def interrupt_once(engine: Engine, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,8 +30,7 @@ def interrupt_once(engine: Engine, place: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(owner, name, interrupted)
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("then", ["stop", "close"])
+@pytest.mark.parametrize(("place", "then"), PLACES.items())
 def test_an_interrupted_stop_is_completed(engine: Engine, rig, tmp_path, monkeypatch, place, then) -> None:
     """Before: the recorder was waited for, without end, while it recorded and the galvo was not parked."""
     engine.start(scan=False)

@@ -206,6 +206,7 @@ def test_a_preset_without_a_rig_is_refused(elsplus: Elsplus, open_recording: Pat
     assert "--preset" in ran.err
 
 
+@pytest.mark.slow
 def test_the_bundles_diameter_is_that_which_is_given_for_the_simulated_rig(
     elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
