@@ -27,8 +27,16 @@ SEARCH_VOLTAGES: Final = 61
 """Of the search for the bundle; chosen: a bundle over a thirtieth of the galvo's range is met by two."""
 SEARCH_FRAMES: Final = 10
 """Averaged for the dark level of the search; chosen, a third of one frame's noise."""
+MAX_LIT: Final = 0.7
+"""Part of the search's voltages at which the line may be on the bundle; chosen: the galvo has to clear it."""
+MIN_HEIGHT_DN: Final = 2.0
+"""Height of the brightest two neighbours above frames without a line, grey levels; chosen, small for a camera."""
+MIN_HEIGHT_SIGMAS: Final = 8.0
+"""The same in standard deviations of the heights; chosen: two neighbours of noise are together at 2 to 5."""
+MEDIAN_DIFFERENCE: Final = 0.954
+"""Median of the absolute difference of two normal numbers, in their standard deviations."""
 MIN_LINE_HEIGHT: Final = 0.25
-"""Part of the brightest line's height above which a line counts as on the bundle; chosen."""
+"""Part of the brightest line's height above frames without one from which a line counts as on the bundle; chosen."""
 
 
 @contextmanager
@@ -111,9 +119,8 @@ def find_span(engine: Engine, progress: ProgressWrapper = iter) -> tuple[float, 
     volts = np.linspace(limits.min_v, limits.max_v, SEARCH_VOLTAGES)
     dark = take_parked(engine, SEARCH_FRAMES).mean(axis=0)
     heights = _heights(take_sweep(engine, volts, progress), dark)
-    seen = np.flatnonzero(heights > MIN_LINE_HEIGHT * heights.max())
-    noise = float(np.median(heights))
-    if not heights.max() > 3 * max(noise, 1.0) or len(seen) > 0.7 * len(volts):
+    seen = lit_voltages(heights)
+    if not len(seen):
         raise MeasurementError(
             f"no voltage from {volts[0]:g} to {volts[-1]:g} V puts a line onto the bundle "
             f"(brightest row {heights.max():.1f} grey levels)",
@@ -122,6 +129,29 @@ def find_span(engine: Engine, progress: ProgressWrapper = iter) -> tuple[float, 
     step = volts[1] - volts[0]
     low, high = volts[seen[0]] - step, volts[seen[-1]] + step
     return max(float(low), limits.min_v), min(float(high), limits.max_v)
+
+
+def lit_voltages(heights: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the indices of the voltages at which the line is on the bundle; empty where none is, or nearly all are.
+
+    Parameters
+    ----------
+    heights : numpy.ndarray
+        (voltages,) grey level of each frame's brightest row above the dark frame, at evenly spaced voltages; without a
+        line it is that of the noise.
+    """
+    empty = np.empty(0, np.intp)
+    without_line = float(np.percentile(heights, 50 * (1 - MAX_LIT)))
+    pairs = np.minimum(heights[:-1], heights[1:])  # a bundle is met by two neighbours
+    height = float(pairs.max()) - without_line
+    noise = float(np.median(np.abs(np.diff(heights)))) / MEDIAN_DIFFERENCE
+    if not height > max(MIN_HEIGHT_DN, MIN_HEIGHT_SIGMAS * noise):
+        return empty
+    dark = np.flatnonzero(heights - without_line <= MIN_LINE_HEIGHT * height)
+    brightest = int(pairs.argmax())
+    first = max((int(index) + 1 for index in dark[dark < brightest]), default=0)
+    stop = min((int(index) for index in dark[dark > brightest]), default=len(heights))
+    return np.arange(first, stop) if stop - first <= MAX_LIT * len(heights) else empty
 
 
 def _heights(frames: NDArray[np.uint8], dark: NDArray[np.float64]) -> NDArray[np.float64]:
