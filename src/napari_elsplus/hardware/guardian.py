@@ -24,6 +24,7 @@ from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.detached import DETACHED
 from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.hardware.parking import call_each
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -300,11 +301,7 @@ class Guardian:
             return self._reports[-1]
         report = DeviceError(problem, "find out what ended it (memory, or another program), then start again")
         self._reports.append(report)
-        for callback in tuple(self._subscribers):
-            try:
-                callback(report)
-            except Exception:  # noqa: BLE001 - it is parked, whatever a subscriber does
-                _log.exception("a subscriber to the guardian's reports failed")
+        call_each(tuple(self._subscribers), report)
         return report
 
 

@@ -13,14 +13,15 @@ import threading
 import time
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 _log = logging.getLogger(__name__)
+News = TypeVar("News")
 
 RETRY_S: Final = 0.02
 """Seconds between two attempts; chosen: some task set-up times of the driver, small against the 0.5 s allowed."""
@@ -234,8 +235,13 @@ class Parking:
             self._state = state
             subscribers = tuple(self._subscribers)
             self._changed.notify_all()
-        for callback in subscribers:
-            try:
-                callback(state)
-            except Exception:  # noqa: BLE001 - parking goes on, whatever a subscriber does
-                _log.exception("a subscriber to the parking state failed")
+        call_each(subscribers, state)
+
+
+def call_each(subscribers: Iterable[Callable[[News], None]], news: News) -> None:
+    """Call all `subscribers` with `news`; one that fails stops neither the others nor what keeps the galvo safe."""
+    for callback in subscribers:
+        try:
+            callback(news)
+        except Exception:  # noqa: BLE001 - see above
+            _log.exception("a subscriber failed")

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager
+from math import sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,8 +35,6 @@ MIN_HEIGHT_DN: Final = 2.0
 """Height of the brightest two neighbours above frames without a line, grey levels; chosen, small for a camera."""
 MIN_HEIGHT_SIGMAS: Final = 8.0
 """The same in standard deviations of the heights; chosen: two neighbours of noise are together at 2 to 5."""
-MEDIAN_DIFFERENCE: Final = 0.954
-"""Median of the absolute difference of two normal numbers, in their standard deviations."""
 MIN_LINE_HEIGHT: Final = 0.25
 """Part of the brightest line's height above frames without one from which a line counts as on the bundle; chosen."""
 
@@ -144,7 +144,7 @@ def lit_voltages(heights: NDArray[np.float64]) -> NDArray[np.intp]:
     without_line = float(np.percentile(heights, 50 * (1 - MAX_LIT)))
     pairs = np.minimum(heights[:-1], heights[1:])  # a bundle is met by two neighbours
     height = float(pairs.max()) - without_line
-    noise = float(np.median(np.abs(np.diff(heights)))) / MEDIAN_DIFFERENCE
+    noise = float(robust_sigma(np.diff(heights))) / sqrt(2)
     if not height > max(MIN_HEIGHT_DN, MIN_HEIGHT_SIGMAS * noise):
         return empty
     dark = np.flatnonzero(heights - without_line <= MIN_LINE_HEIGHT * height)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.gain import darkness
 from napari_elsplus.processing.calibration.bundle.laser_gain import LightCollector
@@ -127,7 +128,7 @@ def _movement(frames: Frames) -> tuple[float, float]:
         [frames[k][::MOVING_STEP_PX, ::MOVING_STEP_PX] for k in range(0, len(frames), every)], np.float32
     )
     above -= np.median(above, axis=0)
-    noise = np.maximum(1.4826 * np.median(np.abs(above), axis=0), MIN_NOISE)
+    noise = np.maximum(robust_sigma(above, axis=0), MIN_NOISE)
     lit = above > MOVING_SIGMAS * noise
     lit[np.count_nonzero(lit, axis=(1, 2)).argmax()] = False
     moving = float(lit.any(axis=0).mean()) if len(above) >= MIN_MOVING_FRAMES else 0.0

@@ -195,7 +195,7 @@ def _clipped_lines(light: SweptLight) -> str:
     what = (
         "so that it gives no gain of the residual view: the lamp's stays"
         if light.mostly_clipped
-        else ("which are left out of the gain of the residual view")
+        else "which are left out of the gain of the residual view"
     )
     return (
         f"the line is saturated in {light.clipped} of {light.clipped + len(light.lines)} frames of the sweep, {what}; "
