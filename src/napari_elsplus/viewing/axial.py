@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import pairwise
@@ -17,6 +18,7 @@ from napari_elsplus.processing.axial.axial_response import (
     axial_response,
 )
 from napari_elsplus.processing.axial.profiles import axial_profiles
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -167,6 +169,8 @@ def measure_scan(
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it, one depth per frame"
         )
+    if note := grey_level_note(stack.planes, calibration):
+        warnings.warn(note, stacklevel=2)
     profiles = axial_profiles(stack.planes, calibration, depths_um=stack.depth_um, progress=progress)
     return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
 

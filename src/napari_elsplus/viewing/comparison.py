@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Mode, disc
@@ -110,6 +112,8 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
     """
     bundle = calibration.measured_bundle
     raw = stack.planes
+    if note := grey_level_note(raw, calibration):
+        warnings.warn(note, stacklevel=2)
     images = {
         mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)
         for mode in MODES

@@ -13,6 +13,7 @@ import numpy as np
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import open_recording
 from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
@@ -53,7 +54,7 @@ class Opened:
     layers : list of tuple
         (data, attributes, type) each.
     notes : list of str
-        Messages for the user: why there are no images, which calibration was used.
+        Messages for the user: why there are no images, which calibration was used, or that it does not fit.
     """
 
     layers: list[Layer]
@@ -88,6 +89,8 @@ def open_layers(path: str | os.PathLike[str], active: Path | None = None) -> Ope
     try:
         calibration, source = recording.find_calibration(active)
         layers = [] if calibration is None else image_layers(stack, calibration, source)
+        if calibration is not None and (note := grey_level_note([stack.planes[0]], calibration)):
+            notes.append(note)
         if source is not None and source == active:
             notes.append(f"{stack.file_name} is displayed with the active calibration, {source.name}")
     except ElsPlusError as error:

@@ -12,7 +12,7 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
-from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
@@ -58,7 +58,8 @@ class MosaicResult:
     settings : dict
         ``mode`` (``finished`` for finished images), ``method`` and ``insertion``, as they are written into the file.
     notes : tuple of str
-        Messages to the user: another frame rate than the calibration's, an estimated timing, too few tracked frames.
+        Messages to the user: another frame rate or bit depth than the calibration's, an estimated timing, too few
+        tracked frames.
     first_frame_px : tuple of float
         Row and column of the image at which the largest segment's track begins.
     """
@@ -166,7 +167,6 @@ def mosaic(
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
     times_s = _times_s(raw, calibration) if times_s is None else times_s
-    rate = frame_rate_note(calibration, times_s)
     pipeline, calibration, notes = _tracked(
         raw, calibration, shown, method, insertion, times_s, frame_numbers, threads, progress, flat
     )  # fmt: skip
@@ -184,10 +184,7 @@ def mosaic(
             "mode": "finished" if finished else shown.value,
             "insertion": Insertion(insertion).value,
         },
-        ((rate,) if rate else ())
-        + notes
-        + _uneven_light(pipeline)
-        + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+        notes + _uneven_light(pipeline) + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
         (0.0, 0.0) if extent is None else (-float(extent.top), -float(extent.left)),
     )
 
@@ -205,8 +202,7 @@ def track(
 ) -> list[TrackPoint]:
     """Track the probe through raw frames or finished images; the track of :func:`mosaic` without its images.
 
-    Parameters and errors are those of :func:`mosaic`. A Python warning is issued where the frames are not as far apart
-    as the calibration's.
+    Parameters and errors are those of :func:`mosaic`. What are notes there are Python warnings here.
 
     Returns
     -------
@@ -217,11 +213,11 @@ def track(
     _check_arguments(raw, calibration, mode, finished=finished)
     shown = Mode.LS if finished else Mode(mode or Mode.ELS)
     times_s = _times_s(raw, calibration) if times_s is None else times_s
-    if note := frame_rate_note(calibration, times_s):
-        warnings.warn(note, stacklevel=2)
-    pipeline, _, _ = _tracked(
+    pipeline, _, notes = _tracked(
         raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, frame_numbers, 2, progress
     )  # fmt: skip
+    for note in notes:
+        warnings.warn(note, stacklevel=2)
     pipeline.refine(RawPairs(raw, shown))
     return pipeline.rows
 
@@ -266,15 +262,17 @@ def _tracked(
         if values is not None and len(values) != len(raw):
             raise InputError(f"{len(values)} {name} for {len(raw)} frames", "give one for each frame")
     pairs = RawPairs(raw, mode, frame_numbers)
-    note = ""
+    notes = [frame_rate_note(calibration, times_s)]
     if calibration is None:
         nominal = calibration_of_finished_images(raw)
         pipeline = new_finished_pipeline(raw, nominal, method, insertion, flat=flat)
     else:
         if tracking_method(method).corrects_rolling_shutter:
             calibration, note = with_timing(calibration, pairs, mode)
+            notes.append(note)
         rows, cols = raw[0].shape
         require_agreement(raw, calibration)
+        notes.append(grey_level_note(raw, calibration))
         pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
         skip, add = (pipeline.skip, pipeline.track) if ahead is None else (ahead.skip, ahead.add)
@@ -283,7 +281,7 @@ def _tracked(
             confocal, residual = pairs(index)
             skip(pairs.lost_before(index))
             add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
-    return pipeline, calibration, (note,) if note else ()
+    return pipeline, calibration, tuple(note for note in notes if note)
 
 
 def _times_s(raw: Frames, calibration: Calibration | None) -> Sequence[float] | NDArray[np.float64] | None:

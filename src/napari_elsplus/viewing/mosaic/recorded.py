@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import TrackTable
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
@@ -153,8 +154,9 @@ class StackMosaics:
         return True
 
     def _run(self, progress: ProgressWrapper) -> None:
-        if self._field is None and (note := frame_rate_note(self.calibration, self._times_s)):
-            self.notes.append(note)
+        if self._field is None:
+            notes = (frame_rate_note(self.calibration, self._times_s), grey_level_note(self._frames, self.calibration))
+            self.notes += filter(None, notes)
         if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
             self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
             if note:

@@ -16,12 +16,13 @@ from napari_elsplus.instrument.calibration import ARRAYS
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.processing.images.sectioning import disc
 from napari_elsplus.workflows.batch.job import TRACK_NAME
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
 from napari_elsplus.workflows.mosaicing import mosaic
-from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.sectioning import SectionedImages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,13 +32,14 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
-    from napari_elsplus.workflows.sectioning import SectionedImages
 
 
 def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
     calibration, source = _calibration(job, recording)
-    images = section(recording, calibration, job.mode)
-    values = {"calibration": source, "images": len(images)}
+    images = SectionedImages(recording, calibration, job.mode)
+    require_agreement(recording, calibration)
+    note = grey_level_note(recording, calibration)
+    values = {"calibration": source, "images": len(images), "warnings": note}
     spans = split(len(images))
     if len(spans) > 1:
         return {SPANS: SpannedImages(item, job).open(images, spans, values)}
@@ -60,7 +62,7 @@ def fill_span(span: range, item: BatchItem, job: BatchJob, recording: Recording)
         The same, open.
     """
     calibration, _ = _calibration(job, recording)
-    images = section(recording, calibration, job.mode)
+    images = SectionedImages(recording, calibration, job.mode)
     images.fill(SpannedImages(item, job).file, span)
     return _described(images, span, item, job)
 

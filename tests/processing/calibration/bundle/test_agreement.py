@@ -1,17 +1,29 @@
-"""Frames refuse a calibration of another geometry, and accept their own whatever they show."""
+"""Frames refuse a calibration of another geometry or bit depth, and accept their own whatever they show."""
 
 from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
+from napari_elsplus.io import write_calibration, write_stack
+from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.comparison import compare_stack
+from napari_elsplus.viewing.layers import open_layers
+from napari_elsplus.workflows.mosaicing import mosaic
+from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.sectioning import section
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 INSTRUMENT = Instrument.of("240hz")
 
@@ -59,3 +71,47 @@ def test_noise_contradicts_nothing() -> None:
 
 def replace_bundle_by_none() -> object:
     return true_calibration(INSTRUMENT).model_copy(update={"bundle": None})
+
+
+def scaled(factor: int, dtype: str = "uint16") -> list[np.ndarray]:
+    return [(frame.astype(np.int64) * factor).astype(dtype) for frame in frames("nuclei")]
+
+
+def with_background(factor: float) -> object:
+    level = np.full(INSTRUMENT.frame_shape, INSTRUMENT.black_dn * factor, np.float32)
+    return true_calibration(INSTRUMENT).model_copy(update={"background": level})
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+def test_a_background_of_these_grey_levels_is_accepted(factor: int) -> None:
+    assert grey_level_note(scaled(factor), with_background(1)) == ""
+    assert grey_level_note(scaled(1), true_calibration(INSTRUMENT).model_copy(update={"background": None})) == ""
+
+
+@pytest.mark.parametrize("made", [section, compare, mosaic])
+def test_a_background_of_fewer_bits_is_warned_of(made: Callable[..., object]) -> None:
+    shallow, few = with_background(1), scaled(16) * 3
+    with pytest.warns(UserWarning, match="have grey level 64, the background of the calibration 4, .* bit depth"):
+        made(few, shallow) if made is not mosaic else warnings.warn("; ".join(mosaic(few, shallow).notes), stacklevel=1)
+
+
+def test_the_panels_note_a_background_of_fewer_bits(tmp_path: Path) -> None:
+    write_stack(tmp_path / "scan.ome.tif", np.stack(scaled(16) * 3))
+    write_calibration(tmp_path / "scan.calibration.json", with_background(1))
+    opened = open_layers(tmp_path / "scan.ome.tif")
+    assert len(opened.layers) == 5
+    assert "bit depth" in opened.notes[0]
+    stack = opened.layers[0][1]["metadata"]["elsplus"]["stack"]
+    with pytest.warns(UserWarning, match="bit depth"):
+        compare_stack(stack, with_background(1))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_a_background_brighter_than_the_frames_is_refused(dtype: str) -> None:
+    with pytest.raises(CalibrationError, match="bit depth"):
+        section(scaled(1, dtype), with_background(16), "els")
+
+
+def test_a_background_that_frames_cannot_hold_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="up to 280, frames of uint8 up to 255: use a calibration of this bit"):
+        section(frames("nuclei"), with_background(70), "els")

@@ -1,8 +1,11 @@
-"""Agreement of a calibration with the frames that it is applied to, in where the bundle lies.
+"""Agreement of a calibration with the frames that it is applied to, in where the bundle lies and in grey levels.
 
 A calibration of another geometry has the right frame size as often as not. Frames of a specimen show the bundle less
 clearly than the far end's light does: they speak against a calibration only if a view is located elsewhere, with
 most of its edge seen, and the edge is not seen where the calibration has it.
+
+Of another bit depth is a background whose level beside the views, where no light falls, is a multiple of that of the
+frames, or a fraction of it.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc, locate_pair
 from napari_elsplus.processing.calibration.bundle.rim import edge_share
+from napari_elsplus.processing.images.row_reference import dark_pixels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,6 +44,18 @@ MIN_EDGE_SHARE: Final = 0.65
 """Share of the circumference of both calibrated circles on which the edge is seen, with which nothing is located;
 measured: 0.70 to 0.82 in the residual view of the presets, 0.5 in one displaced by 0.05 of its diameter to where it is
 lit least."""
+MAX_LEVEL_RATIO: Final = 8**0.5
+"""Level beside the views of frames over that of the background, or the reverse, from which they are of another bit
+depth or black level; derived: bit depths of cameras differ by two bits or more, a factor of 4, not by one, a factor of
+2."""
+MIN_LEVEL_DIFFERENCE: Final = 2.0
+"""Grey levels by which they differ at least; chosen: where black is nearly 0, a ratio is one of noise."""
+MIN_COMPARED_PIXELS: Final = 100
+"""Beside the views, below which their level is not known; chosen."""
+LIT_PERCENTILE: Final = 25
+"""Of the pixels of the views, that exceed the level beside them; chosen: else no light tells where black pixels are."""
+COMPARED_STEP_PX: Final = 4
+"""Between the pixels that are compared, in rows and columns; chosen: ten thousand of a frame do."""
 
 
 def require_agreement(frames: Frames, calibration: Calibration) -> None:
@@ -86,6 +102,50 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
             )
 
 
+def grey_level_note(frames: Frames, calibration: Calibration) -> str:
+    """Return a message to the user where frames are of another bit depth than the background, else an empty one.
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames (rows, cols) that the calibration is applied to; a few of them are averaged.
+    calibration : Calibration
+        Nothing but its background depends on the bit depth.
+
+    Raises
+    ------
+    CalibrationError
+        If the background exceeds what the frames can hold, or what they show: images would be negative.
+    """
+    bundle, background = calibration.bundle, calibration.background
+    if bundle is None or background is None or not len(frames) or frames[0].shape != background.shape:
+        return ""
+    dtype = frames[0].dtype
+    remedy = "use a calibration of this bit depth and black level, or measure its background again"
+    largest = np.iinfo(dtype.name).max if dtype.kind in "ui" else np.inf
+    if background.max() > largest:
+        raise CalibrationError(
+            f"the background has grey levels up to {background.max():.0f}, frames of {dtype} up to {largest}", remedy
+        )
+    step = np.s_[::COMPARED_STEP_PX, ::COMPARED_STEP_PX]
+    seen = np.mean([np.asarray(frames[number][step], np.float32) for number in _averaged(len(frames))], axis=0)
+    beside = dark_pixels(background.shape, bundle.discs)[step] == 1
+    if np.count_nonzero(beside) < MIN_COMPARED_PIXELS:
+        return ""
+    level, expected = float(np.median(seen[beside])), float(np.median(background[step][beside]))
+    if np.percentile(seen[~beside], LIT_PERCENTILE) <= level:
+        return ""
+    if max(level, expected) <= MAX_LEVEL_RATIO * min(level, expected) + MIN_LEVEL_DIFFERENCE:
+        return ""
+    problem = (
+        f"beside the views the frames have grey level {level:.3g}, the background of the calibration {expected:.3g}, "
+        "as of another bit depth or black level"
+    )
+    if level < expected and np.median((seen - background[step])[~beside]) < 0:
+        raise CalibrationError(problem, remedy)
+    return f"{problem}: {remedy}"
+
+
 def _differs(disc: Disc, centre: NDArray[np.float64], diameter_px: float, mean: Image, side: float) -> bool:
     """Return True if a located disc, clearly seen, contradicts an expected one of which no edge is seen."""
     if disc.edge_seen < MIN_CERTAIN_EDGE:
@@ -103,13 +163,19 @@ def _edge_share(mean: Image, centre: Sequence[float] | NDArray[np.float64], diam
 
 def _reduced_mean(frames: Frames) -> tuple[Image, int]:
     """Return the mean of a few frames, reduced to at most `MAX_LOCATED_ROWS`, and the factor."""
-    numbers = np.unique(np.linspace(0, len(frames) - 1, AVERAGED_FRAMES).round().astype(int))
+    numbers = _averaged(len(frames))
     height, cols = frames[0].shape
     factor = -(-height // MAX_LOCATED_ROWS)
     total = np.zeros((len(range(factor // 2, height, factor)), cols // factor * factor), np.float32)
-    for number in numbers.tolist():
+    for number in numbers:
         rows = np.asarray(frames[number])[factor // 2 :: factor, : total.shape[1]]
         cv2.accumulate(rows if rows.dtype in (np.uint8, np.uint16) else rows.astype(np.float32), total)
     mean = np.asarray(cv2.resize(total, (cols // factor, len(total)), interpolation=cv2.INTER_AREA), np.float32)
     mean /= len(numbers)  # in place: another array takes five times as long as the sum of the frames
     return mean, factor
+
+
+def _averaged(count: int) -> list[int]:
+    """Return the numbers of the frames that are averaged."""
+    numbers: list[int] = np.unique(np.linspace(0, count - 1, AVERAGED_FRAMES).round().astype(int)).tolist()
+    return numbers
