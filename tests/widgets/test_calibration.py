@@ -34,6 +34,7 @@ from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
 from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
+from napari_elsplus.widgets.shared.problems import problems
 from pairs import write_pair
 from processes import exists
 
@@ -402,6 +403,15 @@ def test_micrometres_and_times_are_absent_until_they_are_entered_and_read_from_a
     panel.load(tmp_path / "cal.json")
     assert (form.bundle_um.value(), form.line_period_us.value(), form.periods_per_frame.value()) == (1000, 10, 400)
     assert panel.draft.um_per_px == known.um_per_px
+
+
+def test_a_diameter_in_millimetres_is_refused_and_the_last_one_stays(panel):
+    form = panel.form
+    for entered_um, kept_um, told in ((620, 620, ""), (0.6, 620, "a bundle of 0.6 um across"), (700, 700, "")):
+        form.bundle_um.setValue(entered_um)
+        assert told in problems.newest
+        assert bool(told) is bool(problems.newest)
+        assert (form.bundle_um.value(), panel.draft.bundle_um) == (kept_um, kept_um)
 
 
 def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_recording, tmp_path, questions):

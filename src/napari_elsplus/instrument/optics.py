@@ -21,6 +21,10 @@ LINE_RATE_HZ: Final = 130_750.6
 """Rows read per second (the authors' later code); the paper's line period of 7.63 us is the same to 0.3 %."""
 BUNDLE_UM: Final = 620.0
 """Diameter of the imaged part of the bundle FIGH-30-650S, micrometres (the paper)."""
+MIN_BUNDLE_UM: Final = 50.0
+MAX_BUNDLE_UM: Final = 10_000.0
+"""Diameters that a bundle, or the field of view of its probe, can have; chosen: half of what the thinnest probes see,
+and thrice the widest bundle. One in millimetres or nanometres lies beyond."""
 CORE_PITCH_UM: Final = 3.2
 """Mean spacing of the bundle's cores, micrometres (the paper)."""
 HALO_UM: Final = 100.0
@@ -28,6 +32,28 @@ HALO_UM: Final = 100.0
 PARK_CLEARANCE_UM: Final = 1.2 * HALO_UM
 """From the rim of the bundle to a parked line, micrometres; derived: the halo, and a fifth for the galvo's map beyond
 the bundle."""
+
+
+def require_bundle_um(bundle_um: float) -> None:
+    """Refuse a diameter of the bundle in micrometres (`bundle_um`) that no bundle has.
+
+    Raises
+    ------
+    InputError
+        If it is not between :data:`MIN_BUNDLE_UM` and :data:`MAX_BUNDLE_UM`.
+
+    Examples
+    --------
+    >>> require_bundle_um(0.62)
+    Traceback (most recent call last):
+        ...
+    napari_elsplus.errors.InputError: a bundle of 0.62 um across: give its diameter in micrometres, 50 to 10000
+    """
+    if not MIN_BUNDLE_UM <= bundle_um <= MAX_BUNDLE_UM:
+        raise InputError(
+            f"a bundle of {bundle_um:g} um across",
+            f"give its diameter in micrometres, {MIN_BUNDLE_UM:g} to {MAX_BUNDLE_UM:g}",
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -230,7 +230,7 @@ def calibrate_rig(
     DeviceError
         If camera or galvo fail.
     """
-    before, placed, draft = engine.calibration, None, Draft(bundle_um=bundle_um)
+    before, placed, draft = engine.calibration, None, Draft().with_bundle_um(bundle_um)
     measurement = LiveMeasurement(engine, voltages, progress)
     engine.use(None)
     try:

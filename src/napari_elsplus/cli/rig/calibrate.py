@@ -9,7 +9,7 @@ import click
 from napari_elsplus.cli.options import FILE, POSITIVE, calibration_files, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.instrument.optics import PRESETS, require_bundle_um
 from napari_elsplus.processing.calibration.file_options import FILE_OPTIONS, FileOption, added_steps
 
 if TYPE_CHECKING:
@@ -82,6 +82,8 @@ def command(
     names = {key: option.name for key, option in _file_options().items()}
     given = {names[key]: path for key, path in files.items() if path}
     refuse_outputs(*calibration_files(output), report, force=force, inputs=(volts, *given.values()))
+    if bundle_um is not None:
+        require_bundle_um(bundle_um)  # before a rig starts
     if rig is not None:
         if given:
             raise InputError(f"both --rig and --{next(iter(given))}", "measure live or from files, not both")

@@ -8,6 +8,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration, OpticsSection
+from napari_elsplus.instrument.optics import require_bundle_um
 from napari_elsplus.processing.calibration.draft import Draft, setup_of
 from napari_elsplus.processing.calibration.step import Capture, StepInputs
 from napari_elsplus.processing.calibration.steps import calibration_steps
@@ -89,7 +90,7 @@ def measure(
         raise InputError("a flat field belongs to a located bundle", "give --bundle")
     optics = _optics_section(um_per_px, line_period_s, line_periods_per_frame)
     if bundle_um is not None:
-        _require_positive("bundle_um", bundle_um)
+        require_bundle_um(bundle_um)
     if line_period_s is not None and line_period_s > MAX_LINE_PERIOD_S:
         raise InputError(
             f"a line period of {line_period_s:g} s", "give the seconds from one row to the next, about 1e-5"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration, FrameSection
+from napari_elsplus.instrument.optics import require_bundle_um
 from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.galvo import GalvoMap
 from napari_elsplus.processing.calibration.measurements import Background
@@ -121,7 +122,14 @@ class Draft:
         ----------
         bundle_um : float or None
             In micrometres. None: unknown; a located bundle then has no scale.
+
+        Raises
+        ------
+        InputError
+            If no bundle has that diameter.
         """
+        if bundle_um is not None:
+            require_bundle_um(bundle_um)
         known, bundle = self.calibration, self.calibration.bundle
         if bundle is not None:
             known = known.with_optics(um_per_px=None if bundle_um is None else bundle_um / bundle.diameter_px)

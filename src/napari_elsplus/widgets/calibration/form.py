@@ -21,7 +21,7 @@ from qtpy.QtWidgets import (
 from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rigs import rig_names
-from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.instrument.optics import MAX_BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
@@ -89,7 +89,7 @@ class Form:
         self.voltages.setToolTip("Voltages of the sweep, 20 to 4000; the paper takes at least 400")
         self.bundle_um = _number(
             1,
-            10_000,
+            MAX_BUNDLE_UM,
             "Diameter of the imaged part of the bundle at the specimen; it gives the micrometres. "
             "Of a probe with a lens: that of the field of view",
         )

@@ -276,15 +276,16 @@ class CalibrationPanel(Panel):
                 form.script: self.copy_script,
             },
             step=self.choose,
-            bundle=lambda um: self._change(self.draft.with_bundle_um(um)),
-            timing=lambda **given: self._change(self.draft.with_timing(**given)),
+            bundle=lambda um: self._change(lambda: self.draft.with_bundle_um(um)),
+            timing=lambda **given: self._change(lambda: self.draft.with_timing(**given)),
         )
         bind_keys(self, {"next step": self.next_step})
         self.connect_signal(self.viewer.events.theme, self._theme_changed)
 
-    def _change(self, draft: Draft) -> None:
-        self.session.change(draft)
-        self.sharing.activate(draft.calibration)
+    def _change(self, change: Callable[[], Draft]) -> None:
+        with notify_errors(self):
+            self.session.change(change())
+            self.sharing.activate(self.draft.calibration)
         self._refresh()
 
     def _live_source(self) -> MeasurementSource:
@@ -327,8 +328,7 @@ class CalibrationPanel(Panel):
     def _cancel(self) -> None:
         if self._following is not None:
             self._following.stop()
-        client = self.connection.client
-        if client is not None and self.work.busy:
+        if (client := self.connection.client) is not None and self.work.busy:
             client.cancel()
 
     def _update(self) -> None:
