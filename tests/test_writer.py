@@ -15,6 +15,7 @@ from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, 
 from napari_elsplus.viewing.common_axes import ADOPTED
 from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
+from videos import write_avi
 
 PLUGIN = "napari-elsplus"
 
@@ -137,3 +138,31 @@ def test_colour_and_more_dimensions_are_refused(tmp_path, ending, data, rgb):
     with pytest.raises(InputError, match="grey levels"):
         write_image(str(tmp_path / f"a{ending}"), data, {"name": "a", "rgb": rgb})
     assert list(tmp_path.iterdir()) == []
+
+
+UNEVEN_S = (0.0, 0.004, 0.008, 0.02, 0.024, 0.028)
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+@pytest.mark.parametrize(("layer", "step"), [("raw", 1), ("ELS+", 1), ("ELSA", 2)])
+def test_uneven_times_of_the_recording_are_saved(make_napari_viewer_proxy, tmp_path, ending, layer, step):
+    write_pair(tmp_path)
+    write_images(tmp_path / "scan.ome.tif", frames(), ImageMetadata(frame_period_s=0.004, times_s=UNEVEN_S))
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(tmp_path / "scan.ome.tif"), plugin=PLUGIN)
+    viewer.layers[f"scan {layer}"].save(str(tmp_path / f"saved{ending}"), plugin=PLUGIN)
+    with open_recording(tmp_path / f"saved{ending}") as back:
+        np.testing.assert_allclose(back.times_s, UNEVEN_S[::step])
+
+
+def test_uneven_times_that_are_lost_are_told(make_napari_viewer_proxy, tmp_path):
+    """Of some planes of a layer, and of a video, whose file has a playback rate alone."""
+    write_images(tmp_path / "scan.ome.tif", frames(), ImageMetadata(frame_period_s=0.004, times_s=UNEVEN_S))
+    write_avi(tmp_path / "video.avi", frames())
+    viewer = make_napari_viewer_proxy()
+    viewer.open([str(tmp_path / "scan.ome.tif"), str(tmp_path / "video.avi")], plugin=PLUGIN)
+    of_scan, of_video = (viewer.layers[name].as_layer_data_tuple() for name in ("scan raw", "video raw"))
+    with pytest.warns(UserWarning, match="uneven in time, and these are 3 planes of 6 frames"):
+        write_image(str(tmp_path / "part.tif"), of_scan[0][:3], of_scan[1])
+    with pytest.warns(UserWarning, match="video.avi has no times of its frames: the interval of its playback is saved"):
+        write_image(str(tmp_path / "video.tif"), *of_video[:2])

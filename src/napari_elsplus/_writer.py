@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pint
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
+from napari_elsplus.io.frame_times import uneven_times_s
+from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 
 if TYPE_CHECKING:
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.io import Recording
 
 
 def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
@@ -46,7 +50,10 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     calibration: Calibration | None = provenance.get("calibration")
     notes = _notes(provenance, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
-    metadata = ImageMetadata(um_per_px=um_per_px, frame_period_s=step_s, settings=notes, calibration=calibration)
+    times_s = _times_s(provenance, len(image)) if image.ndim == 3 else None
+    metadata = ImageMetadata(
+        um_per_px=um_per_px, frame_period_s=step_s, times_s=times_s, settings=notes, calibration=calibration
+    )
     if image.ndim == 2:
         write_mosaic(path, np.asarray(image), metadata, force=True)
     else:
@@ -92,6 +99,33 @@ def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, floa
     adopted = adopted_axes(attributes.get("metadata"), ndim)
     step_s = _in(units[0], "second", scale[0]) if ndim == 3 and not adopted[0] else None
     return step_s, None if adopted[-1] else _in(units[-1], "micrometer", scale[-1])
+
+
+def _times_s(provenance: Mapping[str, Any], count: int) -> tuple[float, ...] | None:
+    """Return the times of a layer's planes in seconds, (count,), where their recording has them and they are uneven.
+
+    Warns where the times are lost: those of a video, which it does not contain, and of a layer of other planes.
+    """
+    recording: Recording | None = getattr(provenance.get("stack"), "recording", None)
+    if recording is None:
+        return None
+    if recording.metadata.get("playback") and provenance.get("calibration") is None:
+        warnings.warn(
+            f"{recording.path.name} has no times of its frames: the interval of its playback is saved", stacklevel=3
+        )
+    uneven = uneven_times_s(recording.camera_times_s, recording.metadata.get("frame_period_s"))
+    if uneven is None:
+        return None
+    kind = provenance.get("kind")
+    per_image = Mode(kind).frames_per_image if kind in list(Mode) else 1
+    if count != len(recording) // per_image:
+        warnings.warn(
+            f"the frames of {recording.path.name} are uneven in time, and these are {count} planes of "
+            f"{len(recording)} frames: their interval is saved, not their times",
+            stacklevel=3,
+        )
+        return None
+    return uneven[::per_image][:count]
 
 
 def _in(unit: Any, target: str, value: float) -> float | None:
