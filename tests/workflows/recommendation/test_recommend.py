@@ -67,6 +67,7 @@ def test_a_measured_plate_replaces_the_modelled_spread_and_gap() -> None:
     estimate = calibrated_line(calibrated("a"), plate)
     assert (estimate.line.spread, estimate.line.gap_um) == pytest.approx((0.3, 8.0), rel=0.1)
     assert not estimate.assumed
+    assert estimate.measured_to_um == 245.0
     with pytest.raises(InputError, match="no depths"):
         calibrated_line(calibrated("a"), {"profiles": {"ls": [1.0, 0.5]}})
 
@@ -79,6 +80,21 @@ def test_the_recommended_setting_keeps_enough_and_suppresses_haze_best() -> None
     less = recommend(calibrated("b"), 100.0, 0.9)
     assert less.expected.haze < found.expected.haze
     assert abs(less.offset_rows) < abs(found.offset_rows)
+
+
+def test_what_lies_beyond_the_measured_depths_and_compared_offsets_is_noted() -> None:
+    depths = np.arange(0, 150, 5.0)
+    profile = axial_response(depths, offset_um=29.0, line=LINE_MODELS["a"]).ls.tolist()
+    plate = {"depth_um": depths.tolist(), "profiles": {"ls": profile}}
+    assert recommend(calibrated("a"), 100.0, 0.8, plate).notes == ()
+    (beyond,) = recommend(calibrated("a"), 400.0, 0.8, plate).notes
+    assert "haze at 400 um: extrapolated beyond the 145 um to which the plate was measured" in beyond
+    assumed, beyond = recommend(calibrated("a"), 400.0, 0.8).notes
+    assert "of the model" in assumed
+    assert "haze at 400 um: extrapolated beyond the 300 um" in beyond
+    far, wide = recommend(calibrated("a"), 100.0, 0.99, plate).notes
+    assert "10 dB at " in far
+    assert "beyond the 12 to 80 um at which predictions were compared" in wide
 
 
 def test_what_cannot_be_recommended_is_refused_in_one_line() -> None:

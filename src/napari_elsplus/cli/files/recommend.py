@@ -53,5 +53,5 @@ def command(
     ):
         value, sigma = factor * content[name], factor * sigmas[name]
         click.echo(f"{words}: {value:.1f} +- {sigma:.1f} {unit} (now {factor * content['present'][name]:.1f} {unit})")
-    if found.assumed:
-        click.echo("note: spread and gap are those of the model: measure a plate with `axial` and give it with --plate")
+    for note in found.notes:
+        click.echo(f"note: {note}")

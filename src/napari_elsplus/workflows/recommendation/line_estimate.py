@@ -46,11 +46,14 @@ class LineEstimate:
         One standard deviation of each of its parameters.
     assumed : tuple of str
         Parameters that were not measured.
+    measured_to_um : float
+        Depth up to which the spread was measured: on the plate, or by those who measured the model's.
     """
 
     line: LineModel
     sigmas: dict[str, float]
     assumed: tuple[str, ...]
+    measured_to_um: float = MAX_PLATE_UM
 
     def draws(self, count: int) -> Iterator[LineModel]:
         """Yield lines drawn at random within the uncertainties.
@@ -156,4 +159,4 @@ def _fitted(estimate: LineEstimate, plate: Mapping[str, Any], slit_um: float) ->
         for k, name in enumerate(("spread", "gap_um"))
     }
     line = replace(start, spread=float(found.x[0]), gap_um=float(found.x[1]))
-    return LineEstimate(line, sigmas, ())
+    return LineEstimate(line, sigmas, (), float(depth_um[used].max()))

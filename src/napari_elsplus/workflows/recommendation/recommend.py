@@ -14,10 +14,10 @@ from napari_elsplus.instrument.arguments import require_calibration
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.images.sectioning import line_offset_px
 from napari_elsplus.simulation.model.axial_response import LineModel, axial_response, drop_offs, signal_kept
-from napari_elsplus.workflows.recommendation.line_estimate import MODEL_SIGMA, calibrated_line
+from napari_elsplus.workflows.recommendation.line_estimate import MODEL_SIGMA, LineEstimate, calibrated_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from napari_elsplus.instrument.calibration import Calibration
 
@@ -27,6 +27,8 @@ MAX_OFFSET_SHARE: Final = 0.25
 """Largest offset, of the bundle's diameter; chosen: a third of the field is then clipped."""
 WIDER_SLIT_COST: Final = 0.1
 """Relative loss of suppression up to which a wider slit is taken for its light; chosen."""
+COMPARED_OFFSETS_UM: Final = (12.0, 80.0)
+"""Of the predictions that were compared with scans of depths; see the page on calibration."""
 DRAWS: Final = 64
 """Lines drawn within the uncertainties; derived: standard deviations are then known to 9 %."""
 
@@ -67,6 +69,8 @@ class Recommendation:
         Standard deviations of slit, offset and the expected values.
     assumed : tuple of str
         Parameters of the line that the calibration does not contain.
+    notes : tuple of str
+        Messages to the user: what is of the model, and what lies beyond what was measured.
     """
 
     depth_um: float
@@ -77,6 +81,7 @@ class Recommendation:
     present: Prediction
     sigmas: dict[str, float]
     assumed: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def content(self) -> dict[str, Any]:
         """Return all values, ready for JSON: each beside its ``_sigma``."""
@@ -84,7 +89,13 @@ class Recommendation:
         pairs = {key: entry for name, value in values.items()
                  for key, entry in ((name, value), (f"{name}_sigma", self.sigmas[name]))}  # fmt: skip
         asked = {"depth_um": self.depth_um, "keep": self.keep}
-        return {**asked, **pairs, "present": asdict(self.present), "assumed": list(self.assumed)}
+        return {
+            **asked,
+            **pairs,
+            "present": asdict(self.present),
+            "assumed": list(self.assumed),
+            "notes": list(self.notes),
+        }
 
 
 def recommend(
@@ -132,8 +143,29 @@ def recommend(
     sign = -1.0 if present_px < 0 else 1.0
     present = predict_line(estimate.line, abs(present_px) * um, calibration.slit_rows * um, depth_um)
     return Recommendation(
-        depth_um, keep, float(slit_rows), sign * offset_um / um, expected, present, sigmas, estimate.assumed
-    )
+        depth_um, keep, float(slit_rows), sign * offset_um / um, expected, present, sigmas, estimate.assumed,
+        tuple(_notes(estimate, expected, offset_um, depth_um)),
+    )  # fmt: skip
+
+
+def _notes(estimate: LineEstimate, expected: Prediction, offset_um: float, depth_um: float) -> Iterator[str]:
+    """Yield what is of the model, and what lies beyond what was measured."""
+    if estimate.assumed:
+        yield "spread and gap are those of the model: measure a plate with `axial` and give it with --plate"
+    depths = {"haze": depth_um, "3 dB": expected.drop_3db_um, "10 dB": expected.drop_10db_um}
+    beyond = [f"{name} at {at_um:.0f} um" for name, at_um in depths.items() if at_um > estimate.measured_to_um]
+    if beyond:
+        measured = "states of the model were" if estimate.assumed else "plate was"
+        yield (
+            f"{' and '.join(beyond)}: extrapolated beyond the {estimate.measured_to_um:.0f} um to which the {measured} "
+            "measured: measure a plate as deep with `axial`, as far as the bundle's rim lets it"
+        )
+    low_um, high_um = COMPARED_OFFSETS_UM
+    if not low_um <= offset_um <= high_um:
+        yield (
+            f"an offset of {offset_um:.0f} um is extrapolated beyond the {low_um:g} to {high_um:g} um at which "
+            "predictions were compared with scans: measure `axial` there"
+        )
 
 
 def predict_line(line: LineModel, offset_um: float, slit_um: float, depth_um: float) -> Prediction:
