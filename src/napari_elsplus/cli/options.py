@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -13,11 +14,11 @@ from rich.progress import Progress, ProgressColumn, Task
 from rich.text import Text
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import refuse_existing
+from napari_elsplus.io import refuse_existing, refuse_suffix
 from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import Recording
@@ -122,7 +123,12 @@ output_option = click.option("-o", "--output", type=FILE, required=True, help="F
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
 
 
-def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | None] = ()) -> None:
+def refuse_outputs(
+    *paths: Path | None,
+    force: bool,
+    inputs: Iterable[Path | None] = (),
+    suffixes: Mapping[Path | None, str] = MappingProxyType({}),
+) -> None:
     """Refuse output files that may not be written, before any work is done.
 
     Parameters
@@ -133,12 +139,15 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
         Accept existing files.
     inputs : iterable of pathlib.Path or None
         Files that are read.
+    suffixes : mapping of pathlib.Path or None to str
+        Suffix that files are written with, where there is but one.
 
     Raises
     ------
     InputError
         If one exists and `force` is not given, cannot be a file, is named twice, is one of the inputs, which are never
-        overwritten, is a folder that holds one, or would be read as a frame of a folder that is one.
+        overwritten, is a folder that holds one, would be read as a frame of a folder that is one, or has another
+        suffix.
     """
     wanted = [path for path in paths if path is not None]
     read = {path.resolve() for path in inputs if path is not None}
@@ -154,6 +163,8 @@ def refuse_outputs(*paths: Path | None, force: bool, inputs: Iterable[Path | Non
         refuse_existing(path, force=force)
         if path.resolve() in [other.resolve() for other in wanted[:index]]:
             raise InputError(f"{path} is named twice", "name another file for one of them")
+        if path in suffixes:
+            refuse_suffix(path, suffixes[path])
 
 
 def calibration_to_read(recording: Path, chosen: Path | None) -> Path | None:

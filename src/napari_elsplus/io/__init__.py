@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from napari_elsplus.io.atomic import put_in_place as put_in_place
     from napari_elsplus.io.atomic import refuse_existing as refuse_existing
+    from napari_elsplus.io.atomic import refuse_suffix as refuse_suffix
     from napari_elsplus.io.atomic import replacing as replacing
     from napari_elsplus.io.atomic import replacing_all as replacing_all
     from napari_elsplus.io.calibration_lookup import beside as beside
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from napari_elsplus.io.text import write_json as write_json
 
 _MODULES = {
-    "atomic": ("put_in_place", "refuse_existing", "replacing", "replacing_all"),
+    "atomic": ("put_in_place", "refuse_existing", "refuse_suffix", "replacing", "replacing_all"),
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
     "finished_images": ("allocate_images", "fill_images", "write_images", "write_mosaic"),

@@ -42,6 +42,33 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
         raise InputError(f"{path} is a device or a pipe", "name a file")
 
 
+def refuse_suffix(path: str | os.PathLike[str], *suffixes: str) -> None:
+    """Raise an error if the name of a file that is to be written ends in none of some suffixes.
+
+    Parameters
+    ----------
+    path : path-like
+        The file that will be written.
+    *suffixes : str
+        In small letters, with their point.
+
+    Raises
+    ------
+    InputError
+        If it has another one, or none.
+
+    Examples
+    --------
+    >>> refuse_suffix("axial.txt", ".json")
+    Traceback (most recent call last):
+        ...
+    napari_elsplus.errors.InputError: axial.txt has a suffix that cannot be written: let it end in .json
+    """
+    name = Path(path).name
+    if not name.lower().endswith(suffixes):
+        raise InputError(f"{name} has a suffix that cannot be written", f"let it end in {', '.join(suffixes)}")
+
+
 @contextmanager
 def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
     """Write a file beside its target and rename it at the end.

@@ -14,7 +14,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.arguments import require_calibration, require_path
 from napari_elsplus.instrument.calibration import ARRAYS, ARRAYS_KEY, DISTORTION_SHAPE, Calibration
-from napari_elsplus.io.atomic import refuse_existing, replacing
+from napari_elsplus.io.atomic import refuse_existing, refuse_suffix, replacing
 
 if TYPE_CHECKING:
     import os
@@ -99,15 +99,14 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
     Raises
     ------
     InputError
-        If a file exists and `force` is not given, or the folder does not exist.
+        If a file exists and `force` is not given, the folder does not exist, or `path` does not end in .json.
     CalibrationError
-        If the record cannot be written as JSON, or `path` does not end in .json.
+        If the record cannot be written as JSON.
     """
     require_path(path)
     require_calibration(calibration)
     path = Path(path)
-    if path.suffix.lower() != ".json":
-        raise CalibrationError(f"{path.name} is no name for a calibration", "let it end in .json")
+    refuse_suffix(path, ".json")
     beside = path.with_suffix(".npz")
     arrays = {name: value for name in ARRAYS if (value := getattr(calibration, name)) is not None}
     refuse_existing(beside, force=force)

@@ -92,7 +92,7 @@ def test_what_is_missing_is_named(elsplus: Elsplus, folder: Path) -> None:
         return str(run.err)
 
     assert "no r.depths.csv beside the scan" in line(folder / "r.ome.tif")
-    assert "cannot be saved as p.docx" in line(folder / "r.ome.tif", "--plot", folder / "p.docx")
+    assert "p.docx has a suffix that cannot be written" in line(folder / "r.ome.tif", "--plot", folder / "p.docx")
     assert "out.json is named twice" in line(folder / "r.ome.tif", "--plot", folder / "out.json")
     depths = folder / "d.csv"
     depths.write_text("depth_um\n0\n10\n20\n")

@@ -86,6 +86,37 @@ def test_a_scheduler_that_is_not_there(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "ending"),
+    [
+        ("process RAW -c CAL -o a.txt", ".ome.tif"),
+        ("mosaic RAW -c CAL -o a.txt", ".ome.tif"),
+        ("mosaic RAW -c CAL -o m.tif --track a.txt", ".csv"),
+        ("compare RAW -c CAL -o a.txt", ".png"),
+        ("axial RAW -c CAL -o a.txt", ".json"),
+        ("axial RAW -c CAL -o o.json --plot a.txt", ".png"),
+        ("recommend --depth-um 100 -c CAL -o a.txt", ".json"),
+        ("calibrate --line RAW -o a.txt", ".json"),
+        ("calibrate --line RAW -o o.json --report a.txt", ".pdf"),
+        ("simulate recording --frames 1 -o a.txt", ".ome.tif"),
+        ("acquire --seconds 1 --report a.txt", ".json"),
+        ("acquire --seconds 1 --report o.json --track a.txt", ".csv"),
+        ("acquire --seconds 1 --report o.json --mosaic a.txt", ".ome.tif"),
+        ("rehearse --report a.txt", ".json"),
+    ],
+)
+def test_no_command_writes_a_file_under_a_suffix_of_another_kind(
+    elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, arguments: str, ending: str
+) -> None:
+    places = {"RAW": stacks / "still.tif", "CAL": stacks / "known.json"}
+    given = [places.get(word, tmp_path / word if "." in word else word) for word in arguments.split()]
+    ended = elsplus(*given)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "a.txt has a suffix that cannot be written: let it end in " in ended.err
+    assert ending in ended.err
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("here", [".", "/"])
 def test_a_folder_where_a_calibration_is_meant(
     elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, here: str

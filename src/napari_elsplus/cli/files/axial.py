@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, ReadingCommand, force_option, output_option, progress, refuse_outputs
+from napari_elsplus.cli.options import FILE, ReadingCommand, force_option, progress, refuse_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.argument("scan", type=FILE)
 @click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
 @click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")
-@output_option
+@click.option("-o", "--output", type=FILE, required=True, help="JSON file to write.")
 @click.option("--plot", type=FILE, help="Also draw the curves.")
 @force_option
 def command(
@@ -30,7 +30,7 @@ def command(
     from napari_elsplus.io import open_recording, read_calibration, read_depths_um, write_json
     from napari_elsplus.workflows.axial import measure_axial_response
 
-    refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths))
+    refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths), suffixes={output: ".json"})
     if plot is not None:
         from napari_elsplus.workflows.pictures.files import refuse_format
 

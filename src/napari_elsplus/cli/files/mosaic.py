@@ -96,7 +96,7 @@ def command(
         given = "-c" if calibration is not None else "--mode"
         raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
     read = None if finished else calibration_to_read(raw, calibration)
-    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)))
+    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)), suffixes={track: ".csv"})
     format_to_write(output)
     record = None if calibration is None else read_calibration(calibration)
     even = None if flat is None else _mean_frame(flat)

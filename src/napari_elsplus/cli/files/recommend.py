@@ -31,7 +31,7 @@ def command(
     from napari_elsplus.io import read_calibration, write_json
     from napari_elsplus.workflows.recommendation.recommend import recommend
 
-    refuse_outputs(output, force=force, inputs=(calibration, plate))
+    refuse_outputs(output, force=force, inputs=(calibration, plate), suffixes={output: ".json"})
     measured = None
     if plate is not None:
         try:

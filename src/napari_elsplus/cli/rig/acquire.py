@@ -70,7 +70,9 @@ def command(
     from napari_elsplus.io.recorder import refuse_other_format
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
-    refuse_outputs(record, *beside_record, mosaic, track, report, force=force)
+    refuse_outputs(
+        record, *beside_record, mosaic, track, report, force=force, suffixes={track: ".csv", report: ".json"}
+    )
     if record is not None:
         refuse_other_format(record)
     if mosaic is not None:

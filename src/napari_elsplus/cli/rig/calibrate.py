@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from napari_elsplus.cli.options import FILE, POSITIVE, calibration_files, force_option, progress, refuse_outputs
+from napari_elsplus.cli.options import (
+    FILE,
+    POSITIVE,
+    calibration_files,
+    force_option,
+    progress,
+    refuse_outputs,
+)
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS, require_bundle_um
@@ -81,7 +88,13 @@ def command(
     """Measure a calibration from any subset of the inputs, or live on a rig; print the results with uncertainties."""
     names = {key: option.name for key, option in _file_options().items()}
     given = {names[key]: path for key, path in files.items() if path}
-    refuse_outputs(*calibration_files(output), report, force=force, inputs=(volts, *given.values()))
+    refuse_outputs(
+        *calibration_files(output),
+        report,
+        force=force,
+        inputs=(volts, *given.values()),
+        suffixes={output: ".json", report: ".pdf"},
+    )
     if bundle_um is not None:
         require_bundle_um(bundle_um)  # before a rig starts
     if rig is not None:
@@ -108,10 +121,8 @@ def command(
     from napari_elsplus.processing.calibration.draft import Setup
     from napari_elsplus.workflows.calibration import calibrate
     from napari_elsplus.workflows.calibration_report.history import calibration_history
-    from napari_elsplus.workflows.calibration_report.report import refuse_other_than_pdf, save_calibration_report
+    from napari_elsplus.workflows.calibration_report.report import save_calibration_report
 
-    if report is not None:
-        refuse_other_than_pdf(report)
     if rig is not None:
         draft, setup = _live(rig, preset or DEFAULT_PRESET, bundle_um)
     else:

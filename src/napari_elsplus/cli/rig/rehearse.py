@@ -25,7 +25,7 @@ def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
     from napari_elsplus.diagnosis.rehearsal.row import heading, line
     from napari_elsplus.io import write_json
 
-    refuse_outputs(report, force=force)
+    refuse_outputs(report, force=force, suffixes={report: ".json"})
     chosen = faults(names)
     click.echo(heading())
     rows = []

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import refuse_suffix
 
 if TYPE_CHECKING:
     import os
@@ -248,11 +249,8 @@ def format_to_write(path: Path) -> FileFormat:
     """
     name = path.name.lower()
     writable = [one for one in file_formats() if one.writer is not None]
-    found = next((one for one in writable if name.endswith(one.written_suffixes)), None)
-    if found is None:
-        suffixes = ", ".join(suffix for one in writable for suffix in one.written_suffixes)
-        raise InputError(f"{path.name} has a suffix that cannot be written", f"let it end in one of {suffixes}")
-    return found
+    refuse_suffix(path, *(suffix for one in writable for suffix in one.written_suffixes))
+    return next(one for one in writable if name.endswith(one.written_suffixes))
 
 
 def supported_recordings() -> str:

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from napari_elsplus import __version__
-from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection, OpticsSection
-from napari_elsplus.io import replacing
+from napari_elsplus.io import refuse_suffix, replacing
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.step import StepState
 from napari_elsplus.processing.calibration.steps import calibration_steps
@@ -72,25 +71,13 @@ def save_calibration_report(
     InputError
         If the file is not named NAME.pdf, or exists and `force` is not given.
     """
-    refuse_other_than_pdf(path)
+    refuse_suffix(path, ".pdf")
     with replacing(path, force=force) as unfinished, PdfPages(unfinished) as pages:
         for number, figure in enumerate(draw_calibration_report(draft, history), 1):
             figure.text(0.92, 0.03, f"{number}", ha="right", fontsize=8, color="0.4")
             pages.savefig(figure, dpi=PICTURE_DPI)
         pages.infodict()["Title"] = f"Calibration report, {draft.calibration.created}"
     return number
-
-
-def refuse_other_than_pdf(path: Path) -> None:
-    """Refuse the path of a report that does not end in ``.pdf``.
-
-    Raises
-    ------
-    InputError
-        If it does not.
-    """
-    if path.suffix.lower() != ".pdf":
-        raise InputError(f"a report of several pages cannot be saved as {path.name}", "end its name in .pdf")
 
 
 def draw_calibration_report(draft: Draft, history: CalibrationHistory | None = None) -> Iterator[Figure]:

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from napari_elsplus.errors import InputError
-from napari_elsplus.io import replacing
+from napari_elsplus.io import refuse_suffix, replacing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,8 +76,5 @@ def refuse_format(path: Path) -> str:
     InputError
         If the format is unknown.
     """
-    kind = path.suffix.lstrip(".").lower()
-    known = FigureCanvasAgg.get_supported_filetypes()
-    if kind not in known:
-        raise InputError(f"a figure cannot be saved as {path.name}", f"end its name in .{', .'.join(sorted(known))}")
-    return kind
+    refuse_suffix(path, *(f".{kind}" for kind in sorted(FigureCanvasAgg.get_supported_filetypes())))
+    return path.suffix.lstrip(".").lower()
