@@ -319,6 +319,17 @@ def test_what_other_settings_make_stale_is_said(engine: Engine, calibration: Cal
     assert engine.status().stale["bundle"] == "objective changed from 10x to 4x"
 
 
+def test_the_name_of_a_calibration_is_refused_and_the_one_before_stays(
+    engine: Engine, calibration: Calibration
+) -> None:
+    engine.use(calibration)
+    ring = engine.display
+    with pytest.raises(InputError, match=r"'cal\.json' is a name: give `load_calibration\('cal\.json'\)`"):
+        engine.use("cal.json")  # type: ignore[arg-type]
+    assert engine.calibration is calibration
+    assert engine.display is ring
+
+
 def test_a_view_that_cannot_be_made_leaves_the_one_before(engine: Engine, calibration: Calibration) -> None:
     engine.use(calibration)
     engine.start()

@@ -22,6 +22,7 @@ from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.tally import Latencies
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.instrument.arguments import require_calibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -103,8 +104,7 @@ class Engine(ClosedOnExit):
         """
         with self._changing("the camera's configuration"):
             self.refuse_while_recording()
-            before = self.setup.settings if self.setup.configured else None
-            live = self._live
+            before, live = self.setup.settings if self.setup.configured else None, self._live
             self._end_run()
             try:
                 self._configure(settings, live)
@@ -127,8 +127,10 @@ class Engine(ClosedOnExit):
         CalibrationError
             If it does not fit the frames; the one before stays active, as in all cases.
         InputError
-            If its ramp or parking position is impossible, or a recording or another operation runs.
+            If it is none, its ramp or parking position is impossible, or a recording or another operation runs.
         """
+        if calibration is not None:
+            require_calibration(calibration)
         with self._changing("the activation of a calibration"):
             self.refuse_while_recording()
             before = self.calibration
