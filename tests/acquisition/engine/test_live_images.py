@@ -157,11 +157,15 @@ def test_the_background_can_be_left_in() -> None:
     assert (slot["ls"] - with_background)[40, 40] == pytest.approx(7, abs=0.01)
 
 
-def test_saturation_is_the_share_of_white_pixels() -> None:
-    raw = np.zeros(SHAPE, np.uint8)
-    raw[:25] = 255
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 4095), (np.uint16, 65520)])
+def test_saturation_is_the_share_of_white_pixels(dtype: type[np.unsignedinteger], white: int) -> None:
+    """Of a camera of 8 bits, and of one of 12, whose levels may be shifted to the left; 255 is one of its greys."""
+    raw = np.random.default_rng(4).integers(0, white - 1, SHAPE).astype(dtype)
+    raw[30] = 255 * (white > 255)
+    raw[:25] = white
     live = LiveImages(SHAPE, None, LiveView())
-    assert live.fill(raw, slot_of(live)).saturated == pytest.approx(0.25, abs=0.04)
+    slot = {"raw": np.empty(SHAPE, dtype)}
+    assert live.fill(raw, slot).saturated == pytest.approx(0.25, abs=0.04)
 
 
 def test_focus_falls_with_blur_and_ignores_brightness() -> None:

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import pytest
+
 from napari_elsplus._writer import write_image
 from napari_elsplus.io import open_recording
 from napari_elsplus.widgets.live.layers import LiveLayers
 from pairs import calibration, write_pair
+
+
+@pytest.mark.parametrize(("dtype", "white"), [("u1", 255), ("u2", 65535)])
+def test_raw_frames_are_displayed_over_all_grey_levels_of_the_camera(viewer, dtype, white):
+    ring = SimpleNamespace(layout=SimpleNamespace(fields=[("raw", (40, 80), dtype)]))
+    layers = LiveLayers(viewer)
+    layers.arrange(["raw"], ring, None, side_by_side=False)
+    layers.rescale_contrast("raw")
+    assert tuple(layers.images["raw"].contrast_limits) == (0, white)
 
 
 def test_the_scale_of_other_layers_is_not_saved_as_that_of_live_images(viewer, tmp_path):

@@ -11,6 +11,7 @@ import numpy as np
 from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.priority import ordinary_priority
+from napari_elsplus.processing.calibration.frame_regions import white_level
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.resampling import resampled
@@ -29,8 +30,6 @@ DISPLAY_SLOTS: Final = 6
 ROW_TEST_INTERVAL_FRAMES: Final = 128
 """Frames from one test for row noise to the next; chosen: half a second, and a hundredth of the cost of a test."""
 RAW: Final = "raw"
-_WHITE: Final = 255
-"""Grey level of saturated pixels; derived, the largest of 8 bits."""
 _SATURATION_STEP: Final = 16
 """Saturated pixels are counted on every sixteenth row; chosen: a sixteenth of the cost, and enough."""
 _FOCUS_STEP: Final = 8
@@ -218,7 +217,7 @@ class LiveImages:
         """
         np.copyto(arrays[RAW], raw)
         some = raw[::_SATURATION_STEP]
-        saturated = float(np.count_nonzero(some == _WHITE)) / some.size
+        saturated = float(np.count_nonzero(some == white_level(some))) / some.size
         if self._sectioner is None:
             return Measures(saturated)
         if self.of_one_frame:

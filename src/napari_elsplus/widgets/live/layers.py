@@ -14,6 +14,7 @@ from napari_elsplus import __version__
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.calibration.frame_regions import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES, titles_layer
@@ -189,10 +190,10 @@ class LiveLayers:
         return stamp
 
     def rescale_contrast(self, kind: str) -> None:
-        """Set the contrast limits of a kind's layer: 0.01 % of the pixels saturated, or 0 to 255 for raw."""
+        """Set the contrast limits of a kind's layer: 0.01 % of the pixels saturated, or all grey levels for raw."""
         layer = self.images[kind]
         if kind == RAW:
-            layer.contrast_limits = (0, 255)
+            layer.contrast_limits = (0, largest_level(layer.data))
             return
         image = np.asarray(layer.data)
         white = white_level(image, np.ones(image.shape, bool))
@@ -214,7 +215,7 @@ class LiveLayers:
 
     def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
         buffer: NDArray[Any] = np.zeros(shape, dtype)
-        options = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 255), "cache": False}
+        options = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 1), "cache": False}
         options["interpolation2d"] = "nearest" if kind == RAW else SMOOTH
         layer = Image(buffer, **options, **place)
         self._layers[kind] = layer
