@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.axial.axial_notes import uncertainty_note
+from napari_elsplus.processing.axial.axial_notes import axial_notes, uncertainty_note
 from napari_elsplus.processing.axial.axial_response import (
     MAX_CHANCE,
     SystematicUncertainty,
@@ -245,3 +245,27 @@ def test_a_bleaching_plate_is_to_be_scanned_as_often_as_that_helps() -> None:
     spent = axial_response(*bleached(fading.frames_advised, 0.1, 0.5, 3))
     assert (spent.frames_advised, spent.chance > MAX_CHANCE) == (1, True)
     assert "the plate has bleached" in uncertainty_note(axial_response(*bleached(40, 0.1, 0.8, 3)))
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.03, 0.1])
+def test_the_uncertainties_contain_a_loss_that_a_few_repeated_frames_hardly_show(lost: float) -> None:
+    """Of a scan out that returns to contact: a loss of 3 % is corrected in half of these, and was in none of them."""
+    depths, random = there_and_back(), np.random.default_rng(7312)
+    depths = np.r_[[0.0] * 3, depths[: len(depths) // 2], [0.0] * 3]
+    pulls = []
+    for _ in range(40):
+        power = (1 - lost) ** (np.arange(len(depths)) / (len(depths) - 1)) * random.normal(1, 0.01, len(depths))
+        found = axial_response(depths, *(power * each for each in falling(depths))).ls_10db
+        pulls.append((found.um - 540) / found.uncertainty_um)
+    assert np.mean(np.abs(pulls) > 2) < 0.1
+    assert np.max(np.abs(pulls)) < 3.5
+
+
+def test_what_unseen_bleaching_would_change_is_stated() -> None:
+    depths = there_and_back()[: len(there_and_back()) // 2]
+    faded = 0.9 ** (np.arange(len(depths)) / (len(depths) - 1))
+    one_way = axial_response(depths, *(faded * each for each in falling(depths)))
+    assert one_way.els_10db.um + one_way.unseen_um == pytest.approx(90, abs=0.1)
+    assert one_way.unseen_um > 10 * one_way.els_10db.uncertainty_um
+    assert f"ELS+ 10 dB lies {one_way.unseen_um:.1f} um farther" in axial_notes(one_way)[0]
+    assert axial_response(there_and_back(), *falling(there_and_back())).unseen_um == 0

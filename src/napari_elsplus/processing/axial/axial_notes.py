@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.axial.axial_response import MAX_CHANCE, MAX_UNCERTAINTY
+import numpy as np
+
+from napari_elsplus.processing.axial.axial_response import ASSUMED_LOSS, MAX_CHANCE, MAX_UNCERTAINTY
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.axial.axial_response import AxialResponse
@@ -67,7 +69,12 @@ def _contact_note(response: AxialResponse) -> str:
 
 def _bleaching_note(response: AxialResponse) -> str:
     if response.loss is None:
-        return "no depth was recorded again: bleaching is not seen; record the scan there and back"
+        level = "10 dB" if np.isfinite(response.els_10db.um) else "3 dB"
+        return (
+            "warning: no depth was recorded again: bleaching is not seen, and the uncertainties do not contain it; if"
+            f" {100 * ASSUMED_LOSS:.0f} % of the light was lost in the scan, ELS+ {level} lies"
+            f" {response.unseen_um:.1f} um farther: record the scan there and back"
+        )
     if not response.loss.significant:
         return ""
     lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty

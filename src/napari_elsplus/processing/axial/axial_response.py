@@ -16,7 +16,7 @@ from scipy.optimize import isotonic_regression
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial.black_level import black_level
 from napari_elsplus.processing.axial.bleaching import light_loss
-from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, means_at_depths, noise_of_curve
+from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, DepthMeans, means_at_depths, noise_of_curve
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.axial.falling_curve import FallingCurve
 
@@ -41,6 +41,8 @@ distances by up to 2.2 %, which leaves 0.8 % for it and for the gain."""
 MAX_BLEACHED: Final = 0.9
 """Share of all that scans of a bleaching plate can ever show from which no further ones are advised; chosen: the rest
 would lower the uncertainty by a twentieth."""
+ASSUMED_LOSS: Final = 0.1
+"""Light lost in a scan that shows none of it, whose effect is stated; chosen, a round number."""
 _MIN_LIGHT: Final = 0.01
 """LS, share of that in contact, below which noise is not expected to fall further; chosen: the camera's own is left."""
 _MIN_SIGNAL_SIGMAS: Final = 3
@@ -68,6 +70,9 @@ class AxialResponse:
     loss : LightLoss, optional
         Light that was lost in the course of the scan, by bleaching; corrected where significant. None where too few
         depths were recorded more than once.
+    unseen_um : float
+        By how much the ELS+ 10 dB distance, else that of 3 dB, is too short if `ASSUMED_LOSS` of the light was lost in
+        the course of a scan that does not show it; 0 of one that does.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
@@ -84,6 +89,7 @@ class AxialResponse:
     signal_kept: float
     signal_kept_uncertainty: float
     loss: LightLoss | None = None
+    unseen_um: float = 0.0
     black: BlackLevel | None = None
 
     @property
@@ -235,16 +241,12 @@ def axial_response(
         systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
-    # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
-    ls, residual, weight = signals[0] * gains, signals[1] * gains, gains**-2
-    of_ls, of_residual, of_els = (means_at_depths(depths, each, weight) for each in (ls, residual, ls - residual))
+    of_ls, of_residual, of_els = means = _means(depths, signals, gains)
     contact = _peak(of_ls.mean)
-    gain = float(np.average(gains, weights=weight))
-    ls_zero_dn, residual_zero_dn = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
+    gain = float(np.average(gains, weights=gains**-2))
+    zeros = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
     correlated_dn = systematic.gain * of_residual.mean[contact:]
-    ls_fall = FallingCurve(of_ls.beyond(contact), ls_zero_dn, np.zeros_like(correlated_dn))
-    els_zero_dn = float(np.hypot(ls_zero_dn, residual_zero_dn))
-    els_fall = FallingCurve(of_els.beyond(contact), els_zero_dn, correlated_dn)
+    ls_fall, els_fall = _falls(means, contact, zeros, correlated_dn)
     if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
         raise MeasurementError(
             f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
@@ -262,23 +264,55 @@ def axial_response(
             "do the depths grow away from the probe, and are they in the order of the frames?",
         )
     kept = els_fall.contact / ls_fall.contact
+    rate = -log(1 - ASSUMED_LOSS) / (len(depths) - 1) if loss is None else loss.error
+    brighter = _means(depths, signals, gains * np.exp(rate * np.arange(len(depths))))
+    drops, others = (_drops(each) for each in ((ls_fall, els_fall), _falls(brighter, contact, zeros, correlated_dn)))
+    changes = [float(np.nan_to_num(abs(other.um - drop.um))) for drop, other in zip(drops, others, strict=True)]
+    if loss is not None:
+        drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
     return AxialResponse(
         depth_um=of_ls.depth,
         contact_um=float(of_ls.depth[contact]),
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,
-        ls_3db=ls_fall.drop(LEVEL_3DB),
-        ls_10db=ls_fall.drop(LEVEL_10DB),
-        els_3db=els_fall.drop(LEVEL_3DB),
-        els_10db=els_fall.drop(LEVEL_10DB),
+        ls_3db=drops[0],
+        ls_10db=drops[1],
+        els_3db=drops[2],
+        els_10db=drops[3],
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
         ),
         loss=loss,
+        unseen_um=0.0 if loss is not None else changes[3] or changes[2],
         black=black,
     )
+
+
+def _means(depths: Curve, signals: list[Curve], gains: Curve) -> tuple[DepthMeans, DepthMeans, DepthMeans]:
+    """Return the means of LS, residual and ELS+ at each depth, each frame made up for its lost light by a gain."""
+    # Noise that does not grow with the light is raised by the gain: without weights, later scans would harm.
+    ls, residual, weight = signals[0] * gains, signals[1] * gains, gains**-2
+    of_ls, of_residual, of_els = (means_at_depths(depths, each, weight) for each in (ls, residual, ls - residual))
+    return of_ls, of_residual, of_els
+
+
+def _falls(
+    means: tuple[DepthMeans, DepthMeans, DepthMeans],
+    contact: int,
+    zeros_dn: tuple[float, float],
+    correlated_dn: Curve,
+) -> tuple[FallingCurve, FallingCurve]:
+    """Return the curves of LS and of ELS+ from contact on."""
+    of_ls, _, of_els = (each.beyond(contact) for each in means)
+    ls_fall = FallingCurve(of_ls, zeros_dn[0], np.zeros_like(correlated_dn))
+    return ls_fall, FallingCurve(of_els, float(np.hypot(*zeros_dn)), correlated_dn)
+
+
+def _drops(falls: tuple[FallingCurve, FallingCurve]) -> list[DropOff]:
+    """Return the distances of LS at 3 and 10 dB, and those of ELS+."""
+    return [fall.drop(level) for fall in falls for level in (LEVEL_3DB, LEVEL_10DB)]
 
 
 def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[Curve, Curve, Curve]:

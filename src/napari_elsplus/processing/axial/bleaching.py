@@ -61,6 +61,13 @@ class LightLoss(NamedTuple):
         return float(np.exp(-self._corrected * self.frames))
 
     @property
+    def error(self) -> float:
+        """Error of the rate, relative, per frame: its uncertainty, or what of it exceeds that and is not corrected."""
+        if self.significant:
+            return self.uncertainty
+        return float(np.sqrt(max(self.per_frame**2 - self.uncertainty**2, 0.0)))
+
+    @property
     def _corrected(self) -> float:
         return self.per_frame if self.significant else 0.0
 

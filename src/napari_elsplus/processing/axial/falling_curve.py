@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -53,6 +53,10 @@ class DropOff:
     random_um: float = 0.0
     sampling_um: float = 0.0
     depths: int = 0
+
+    def with_systematic(self, um: float) -> DropOff:
+        """Return the distance with a further uncertainty, one standard deviation in micrometres (`um`)."""
+        return replace(self, uncertainty_um=float(np.hypot(self.uncertainty_um, um)))
 
     @property
     def max_step_um(self) -> float:
