@@ -141,7 +141,8 @@ class BundleSection(Section):
     """Bundle views: centres (row, col), half-level diameter, and view alignment.
 
     ``residual_to_confocal`` maps (row, col, 1) in the residual image to (row, col) in the confocal image;
-    ``residual_gain`` is the brightness of the residual view over that of the confocal view.
+    ``residual_gain`` is the brightness of the residual view over that of the confocal view. ``swept_gain`` is that in
+    the light of a sweep, also where it differs too much from the lamp's to be used; None without one.
     """
 
     confocal_centre: Point
@@ -150,6 +151,7 @@ class BundleSection(Section):
     residual_to_confocal: AffineRows
     residual_gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     residual_gain_uncertainty: NonNegative = 0.0
+    swept_gain: Finite | None = None
     centre_uncertainty_px: NonNegative | None = None
     diameter_uncertainty_px: NonNegative | None = None
     alignment_uncertainty_px: NonNegative | None = None

@@ -184,11 +184,13 @@ def with_darkness(draft: Draft) -> Calibration:
 
 
 def _in_laser_light(calibration: Calibration, pair: BundlePair, light: SweptLight) -> Calibration:
-    """Return a calibration with the gain in the light of a sweep, where it shows that of a located pair."""
+    """Return a calibration with the gain in the light of a sweep, used where it shows that of a located pair."""
     found = laser_gain(light, in_lamp_light(calibration, pair))
-    if found is None or not abs(found[0] / pair.alignment.gain - 1) < MAX_DISAGREEMENT:
+    if found is None:
         return calibration
-    update = {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
+    update = {"swept_gain": found[0]}
+    if abs(found[0] / pair.alignment.gain - 1) < MAX_DISAGREEMENT:
+        update |= {"residual_gain": found[0], "residual_gain_uncertainty": found[1]}
     return calibration.model_copy(update={"bundle": _bundle_section(pair).model_copy(update=update)})
 
 

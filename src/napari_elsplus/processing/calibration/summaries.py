@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.cancellation import PAPER_TEXT, measure_alignment_errors
 from napari_elsplus.processing.calibration.bundle.gain import mean_light
-from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DISAGREEMENT, LAMP_GAIN, laser_gain
+from napari_elsplus.processing.calibration.bundle.laser_gain import DOUBTFUL_DISAGREEMENT, LAMP_GAIN
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED, MAX_STRUCTURE
 from napari_elsplus.processing.calibration.galvo import PAPER_VOLTAGES
@@ -128,7 +128,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
     else:
         lines.append(f"view alignment: {alignment.model} to {alignment.uncertainty_px:.3f} px")
     lines.append(_gain_text(known.bundle, alignment))
-    warnings += _doubtful_gain(draft, pair)
+    warnings += _doubtful_gain(known.bundle, alignment.gain)
     if known.gain_map is not None:
         spread = float(known.gain_map.std())
         lines.append(f"gain map: {100 * spread:.1f} % over the field")
@@ -203,14 +203,13 @@ def _clipped_lines(light: SweptLight) -> str:
     )
 
 
-def _doubtful_gain(draft: Draft, pair: BundlePair) -> list[str]:
+def _doubtful_gain(bundle: BundleSection | None, lamp: float) -> list[str]:
     """Return a warning where the gains by sweep and lamp differ by more than their spectra do."""
-    light, lamp = None if draft.galvo is None else draft.galvo.light, pair.alignment.gain
-    found = None if light is None else laser_gain(light, in_lamp_light(draft.calibration, pair))
-    if found is None or abs(found[0] / lamp - 1) <= DOUBTFUL_DISAGREEMENT:
+    swept = None if bundle is None else bundle.swept_gain
+    if swept is None or abs(swept / lamp - 1) <= DOUBTFUL_DISAGREEMENT:
         return []
     return [
-        f"the gain of the residual view is {found[0]:.3f} in the light of the sweep, {lamp:.3f} in the lamp's: is a "
+        f"the gain of the residual view is {swept:.3f} in the light of the sweep, {lamp:.3f} in the lamp's: is a "
         "view saturated, out of focus or partly blocked in one of the recordings? Record both again"
     ]
 

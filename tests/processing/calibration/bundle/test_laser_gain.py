@@ -11,8 +11,9 @@ import pytest
 
 from napari_elsplus.processing.calibration.bundle.laser_gain import LAMP_GAIN, LightCollector, laser_gain
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.sections import in_lamp_light
+from napari_elsplus.processing.calibration.summaries import summarize_pair
 from napari_elsplus.simulation.calibration_scenes import dark_tube, standing_line, sweep_volts, transmission
 from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.imperfections import Imperfections
@@ -132,10 +133,25 @@ def test_the_alignment_error_is_stated_in_the_lamps_light() -> None:
     assert errors[1].alignment_error == pytest.approx(errors[0].alignment_error, rel=0.02)
 
 
+def test_a_gain_that_differs_too_much_is_kept_for_the_warning_and_not_used() -> None:
+    instrument, draft = calibrated("lamp-gain=-20")
+    bundle, pair = draft.calibration.bundle, draft.pair
+    assert bundle is not None
+    assert pair is not None
+    assert bundle.residual_gain == pair.alignment.gain
+    assert bundle.swept_gain == pytest.approx(instrument.residual_view.gain, rel=0.02)
+    warnings = summarize_pair(pair, draft, Setup(draft.calibration.frame)).warnings
+    assert any(f"is {bundle.swept_gain:.3f} in the light of the sweep" in warning for warning in warnings)
+    agreeing = calibrated("")[1].calibration.bundle
+    assert agreeing is not None
+    assert agreeing.swept_gain == agreeing.residual_gain
+
+
 def test_without_a_sweep_the_lamps_gain_is_uncertain_by_the_spectrum() -> None:
     instrument, draft = calibrated("lamp-gain=3", swept=False)
     bundle = draft.calibration.bundle
     assert bundle is not None
+    assert bundle.swept_gain is None
     assert bundle.residual_gain_uncertainty == pytest.approx(LAMP_GAIN * bundle.residual_gain, rel=0.05)
     assert abs(bundle.residual_gain - instrument.residual_view.gain) < 3 * bundle.residual_gain_uncertainty
 
