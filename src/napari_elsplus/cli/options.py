@@ -117,7 +117,7 @@ SEED = click.IntRange(0, (1 << 31) - 1)
 
 calibration_option = click.option(
     "-c", "--calibration", type=FILE,
-    help="Calibration file, as written by `calibrate`; by default the one beside or in RAW.",
+    help="Calibration file, as written by `calibrate`; by default the one beside or in the recording.",
 )  # fmt: skip
 output_option = click.option("-o", "--output", type=FILE, required=True, help="File to write.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output file.")
@@ -174,13 +174,15 @@ def calibration_to_read(recording: Path, chosen: Path | None) -> Path | None:
     return calibration_beside(recording) if chosen is None else chosen
 
 
-def own_calibration(recording: Recording, remedy: str = "name one with -c") -> Calibration:
-    """Return the calibration beside or in a recording, and print which it is.
+def calibration_of(recording: Recording, chosen: Path | None, remedy: str = "name one with -c") -> Calibration:
+    """Return the calibration that was chosen, else the one beside or in a recording, and print which that is.
 
     Parameters
     ----------
     recording : Recording
         Open.
+    chosen : pathlib.Path or None
+        The file named with -c.
     remedy : str
         What the error tells the user to do.
 
@@ -189,6 +191,10 @@ def own_calibration(recording: Recording, remedy: str = "name one with -c") -> C
     CalibrationError
         If there is none, or it is broken.
     """
+    from napari_elsplus.io import read_calibration  # imports numpy, of which wrong options need nothing
+
+    if chosen is not None:
+        return read_calibration(chosen)
     found, file = recording.find_calibration()
     if found is None:
         raise CalibrationError(f"there is no calibration in or beside {recording.path.name}", remedy)

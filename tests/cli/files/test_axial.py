@@ -21,6 +21,7 @@ def measured(elsplus: Elsplus, folder: Path, *options: object) -> dict[str, Any]
     assert elsplus("simulate", "axial", *options, "-o", scan).code == 0
     run = elsplus("axial", scan, "-o", out, "--plot", folder / "out.png")
     assert run.code == 0, run.err
+    assert f"calibration: {folder / 'scan.calibration.json'}" in run.out
     assert "signal kept" in run.out
     assert " +- 0.0 um" not in run.out
     assert (folder / "out.png").read_bytes()[:4] == b"\x89PNG"

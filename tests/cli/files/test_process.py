@@ -227,9 +227,7 @@ def test_what_is_read_is_not_overwritten_even_if_forced(
     link = tmp_path / "link.tif"
     link.symlink_to(raw)
     before = {path: path.read_bytes() for path in files}
-    outputs = [raw, tmp_path / "." / "raw.tif", link, calibration]
-    if command != "axial":
-        outputs.append(calibration.with_suffix(".npz"))
+    outputs = [raw, tmp_path / "." / "raw.tif", link, calibration, calibration.with_suffix(".npz")]
     for output in outputs:
         run = elsplus(command, raw, "-c", calibration, "-o", output, "--force")
         assert run.code == 2

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, ReadingCommand, force_option, progress, refuse_outputs
+from napari_elsplus.cli.options import (
+    FILE,
+    ReadingCommand,
+    calibration_files,
+    calibration_of,
+    calibration_option,
+    calibration_to_read,
+    force_option,
+    progress,
+    refuse_outputs,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,7 +28,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=ReadingCommand)
 @click.argument("scan", type=FILE)
-@click.option("-c", "--calibration", type=FILE, help="Calibration; by default the one in or beside the scan.")
+@calibration_option
 @click.option("--depths", type=FILE, help="CSV with header `depth_um`, a line per frame; by default beside the scan.")
 @click.option("-o", "--output", type=FILE, required=True, help="JSON file to write.")
 @click.option("--plot", type=FILE, help="Also draw the curves.")
@@ -27,16 +37,17 @@ def command(
     scan: Path, calibration: Path | None, depths: Path | None, output: Path, plot: Path | None, force: bool
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
-    from napari_elsplus.io import open_recording, read_calibration, read_depths_um, write_json
+    from napari_elsplus.io import open_recording, read_depths_um, write_json
     from napari_elsplus.workflows.axial import measure_axial_response
 
-    refuse_outputs(output, plot, force=force, inputs=(scan, calibration, depths), suffixes={output: ".json"})
+    read = (scan, *calibration_files(calibration_to_read(scan, calibration)), depths)
+    refuse_outputs(output, plot, force=force, inputs=read, suffixes={output: ".json"})
     if plot is not None:
         from napari_elsplus.workflows.pictures.files import refuse_format
 
         refuse_format(plot)
     with open_recording(scan) as recording:
-        known = None if calibration is None else read_calibration(calibration)
+        known = calibration_of(recording, calibration)
         depth_um = None if depths is None else read_depths_um(depths)
         response = measure_axial_response(recording, known, depth_um, progress=progress)
     write_json(output, response.content(), indent=1, allow_nan=False, force=force)

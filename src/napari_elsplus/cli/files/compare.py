@@ -10,11 +10,11 @@ from napari_elsplus.cli.options import (
     FILE,
     ReadingCommand,
     calibration_files,
+    calibration_of,
     calibration_option,
     calibration_to_read,
     force_option,
     output_option,
-    own_calibration,
     refuse_outputs,
 )
 
@@ -30,15 +30,14 @@ if TYPE_CHECKING:
 @force_option
 def command(raw: Path, calibration: Path | None, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
-    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.io import open_recording
     from napari_elsplus.workflows.pictures.comparison import TITLES, compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
     refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
     refuse_format(output)
-    record = None if calibration is None else read_calibration(calibration)
     with open_recording(raw) as recording:
-        comparison = compare(recording, record or own_calibration(recording), frame)
+        comparison = compare(recording, calibration_of(recording, calibration), frame)
     comparison.save(output, force=force)
     for mode, title in TITLES.items():
         levels = comparison.contrast(mode)

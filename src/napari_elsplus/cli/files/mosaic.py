@@ -12,12 +12,12 @@ from napari_elsplus.cli.options import (
     LazyHelp,
     ReadingCommand,
     calibration_files,
+    calibration_of,
     calibration_option,
     calibration_to_read,
     force_option,
     image_types,
     output_option,
-    own_calibration,
     progress,
     refuse_outputs,
 )
@@ -88,7 +88,7 @@ def command(
     force: bool,
 ) -> None:
     """Track the probe through RAW and insert its images into a mosaic."""
-    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.io import open_recording
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.mosaicing import mosaic as make_mosaic
 
@@ -98,11 +98,10 @@ def command(
     read = None if finished else calibration_to_read(raw, calibration)
     refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)), suffixes={track: ".csv"})
     format_to_write(output)
-    record = None if calibration is None else read_calibration(calibration)
     even = None if flat is None else _mean_frame(flat)
     with open_recording(raw) as recording:
-        if not finished and record is None:
-            record = own_calibration(recording, "name one with -c, or give --finished for finished images")
+        remedy = "name one with -c, or give --finished for finished images"
+        record = None if finished else calibration_of(recording, calibration, remedy)
         result = make_mosaic(
             recording, record, mode, finished=finished, method=method, insertion=insertion, flat=even,
             progress=progress,

@@ -11,12 +11,12 @@ from napari_elsplus.cli.options import (
     LazyChoice,
     ReadingCommand,
     calibration_files,
+    calibration_of,
     calibration_option,
     calibration_to_read,
     force_option,
     image_types,
     output_option,
-    own_calibration,
     progress,
     refuse_outputs,
 )
@@ -74,17 +74,16 @@ def command(
     force: bool,
 ) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF or OME-Zarr (T, n, n)."""
-    from napari_elsplus.io import open_recording, read_calibration
+    from napari_elsplus.io import open_recording
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.sectioning import section
 
     refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
     format_to_write(output)
-    record = None if calibration is None else read_calibration(calibration)
     with open_recording(raw) as recording:
         images = section(
             recording,
-            record or own_calibration(recording),
+            calibration_of(recording, calibration),
             mode,
             cores=cores,
             flat_field=flat_field,
