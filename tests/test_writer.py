@@ -140,6 +140,8 @@ def test_colour_and_more_dimensions_are_refused(tmp_path, ending, data, rgb):
     assert list(tmp_path.iterdir()) == []
 
 
+DROPPED = ("-vf", "select=not(between(n\\,2\\,3))", "-fps_mode", "passthrough", "-c:v", "rawvideo", "-pix_fmt", "gray")
+"""Of six frames of a video, the third and the fourth."""
 UNEVEN_S = (0.0, 0.004, 0.008, 0.02, 0.024, 0.028)
 
 
@@ -156,13 +158,15 @@ def test_uneven_times_of_the_recording_are_saved(make_napari_viewer_proxy, tmp_p
 
 
 def test_uneven_times_that_are_lost_are_told(make_napari_viewer_proxy, tmp_path):
-    """Of some planes of a layer, and of a video, whose file has a playback rate alone."""
+    """Of some planes of a layer; those of a video without a calibration are times of its playback."""
     write_images(tmp_path / "scan.ome.tif", frames(), ImageMetadata(frame_period_s=0.004, times_s=UNEVEN_S))
-    write_avi(tmp_path / "video.avi", frames())
+    write_avi(tmp_path / "video.avi", frames(), *DROPPED)
     viewer = make_napari_viewer_proxy()
     viewer.open([str(tmp_path / "scan.ome.tif"), str(tmp_path / "video.avi")], plugin=PLUGIN)
     of_scan, of_video = (viewer.layers[name].as_layer_data_tuple() for name in ("scan raw", "video raw"))
     with pytest.warns(UserWarning, match="uneven in time, and these are 3 planes of 6 frames"):
         write_image(str(tmp_path / "part.tif"), of_scan[0][:3], of_scan[1])
-    with pytest.warns(UserWarning, match="video.avi has no times of its frames: the interval of its playback is saved"):
+    with pytest.warns(UserWarning, match=r"video\.avi has the times of its playback, and these are saved"):
         write_image(str(tmp_path / "video.tif"), *of_video[:2])
+    with open_recording(tmp_path / "video.tif") as back:
+        np.testing.assert_allclose(back.times_s, [0.0, 0.02, 0.08, 0.1])

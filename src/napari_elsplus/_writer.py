@@ -10,7 +10,7 @@ import pint
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
-from napari_elsplus.io.frame_times import uneven_times_s
+from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 
@@ -104,18 +104,18 @@ def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, floa
 def _times_s(provenance: Mapping[str, Any], count: int) -> tuple[float, ...] | None:
     """Return the times of a layer's planes in seconds, (count,), where their recording has them and they are uneven.
 
-    Warns where the times are lost: those of a video, which it does not contain, and of a layer of other planes.
+    Warns where they are those of a video's playback, and where a layer has other planes than its recording.
     """
     recording: Recording | None = getattr(provenance.get("stack"), "recording", None)
     if recording is None:
         return None
-    if recording.metadata.get("playback") and provenance.get("calibration") is None:
-        warnings.warn(
-            f"{recording.path.name} has no times of its frames: the interval of its playback is saved", stacklevel=3
-        )
-    uneven = uneven_times_s(recording.camera_times_s, recording.metadata.get("frame_period_s"))
+    calibration: Calibration | None = provenance.get("calibration")
+    times_s = recording.times_by(calibration)
+    uneven = uneven_times_s(times_s, None if times_s is None else median_period_s(times_s))
     if uneven is None:
         return None
+    if recording.camera_times_by(calibration) is None:
+        warnings.warn(f"{recording.path.name} has the times of its playback, and these are saved", stacklevel=3)
     kind = provenance.get("kind")
     per_image = Mode(kind).frames_per_image if kind in list(Mode) else 1
     if count != len(recording) // per_image:

@@ -15,6 +15,7 @@ import tifffile
 import zarr
 
 from napari_elsplus.errors import ElsPlusError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import Recording, RecordingWriter, open_recording, stored_frames
 from videos import write_avi
 
@@ -225,6 +226,23 @@ def test_frames_of_a_video_are_found_in_any_order(tmp_path, rate_hz, codec):
         order = [*range(count - 1, 0, -19), 0, 40, 45, 200, *np.random.default_rng(1).integers(0, count, 10)]
         assert [int(recording[k][0, 0]) for k in order] == order
         assert recording.metadata["frame_period_s"] == pytest.approx(1 / Fraction(rate_hz), rel=1e-6)
+
+
+def test_frames_that_a_video_dropped_are_gaps_of_its_numbers(tmp_path):
+    """The decoder showed the frame before in their place, and none of the last ones."""
+    frames = np.zeros((30, 16, 24), np.uint8)
+    frames[:] = 8 * np.arange(30)[:, None, None]
+    dropped = ("-vf", "select=not(between(n\\,10\\,14))", "-fps_mode", "passthrough", "-c:v", "rawvideo")
+    write_avi(tmp_path / "a.avi", frames, *dropped, "-pix_fmt", "gray")
+    kept = [*range(10), *range(15, 30)]
+    with open_recording(tmp_path / "a.avi") as recording:
+        assert [int(frame[0, 0]) // 8 for frame in recording] == kept
+        assert [int(recording[k][0, 0]) // 8 for k in (24, 12, 3, 10)] == [kept[k] for k in (24, 12, 3, 10)]
+        assert recording.frame_numbers.tolist() == kept
+        np.testing.assert_allclose(recording.times_s, 0.02 * np.array(kept))
+        calibration = Calibration.parse({"optics": {"line_period_s": 1e-5, "rows_per_frame": 400.0}})
+        np.testing.assert_allclose(recording.times_by(calibration), 4e-3 * np.array(kept))
+        assert recording.camera_times_by(None) is None
 
 
 def test_scale_and_interval_are_read(tmp_path, frames):

@@ -84,23 +84,24 @@ class Recording(ClosedOnExit):
         with decoding(self.path, "the frames' times"):
             return self._open().times_s()
 
-    @property
-    def camera_times_s(self) -> NDArray[np.float64] | None:
-        """Time of each frame in seconds, (T,), as it was taken; None if the file has none, or but a playback rate."""
-        return None if self.metadata.get("playback") else self.times_s
-
-    def times_by(self, calibration: Calibration | None) -> NDArray[np.float64] | None:
-        """Return the time of each frame in seconds, (T,): by a calibration if the file has but a playback rate.
+    def camera_times_by(self, calibration: Calibration | None) -> NDArray[np.float64] | None:
+        """Return the time of each frame in seconds, (T,), as it was taken; None if the file has none.
 
         Parameters
         ----------
         calibration : Calibration or None
-            Its frame period replaces that of a video's header, at which the video is played back.
+            Its frame period replaces that of a video's header, at which the video is played back; without one the
+            times of a video are unknown.
         """
+        if not self.metadata.get("playback"):
+            return self.times_s
         period_s = None if calibration is None else calibration.frame_period_s
-        if period_s is not None and self.metadata.get("playback"):
-            return np.arange(len(self), dtype=np.float64) * period_s
-        return self.times_s
+        return None if period_s is None else self.frame_numbers.astype(np.float64) * period_s
+
+    def times_by(self, calibration: Calibration | None) -> NDArray[np.float64] | None:
+        """Return the time of each frame in seconds, (T,), as it was taken by a `calibration`, else as it is played."""
+        times_s = self.camera_times_by(calibration)
+        return self.times_s if times_s is None else times_s
 
     @property
     def frame_numbers(self) -> NDArray[np.int64]:

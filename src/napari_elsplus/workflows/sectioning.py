@@ -176,7 +176,7 @@ class SectionedImages:
 
     @cached_property
     def _frame_times_s(self) -> NDArray[np.float64] | None:
-        return self._raw.camera_times_s if isinstance(self._raw, Recording) else None
+        return self._raw.camera_times_by(self.calibration) if isinstance(self._raw, Recording) else None
 
     def __len__(self) -> int:
         return len(self._pairs)

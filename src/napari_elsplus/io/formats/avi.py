@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from fractions import Fraction
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,17 +25,18 @@ what the start of ffmpeg costs; any value from 10 to 100 does."""
 
 
 class Video(FrameSource):
-    """Frames of a video, decoded in sequence; a jump backwards or far forwards starts the decoder again."""
+    """Frames of a video, decoded in sequence; a jump backwards or far forwards starts the decoder again.
+
+    Its clock ticks once a frame period: frames that were dropped when it was written are ticks without a frame.
+    """
 
     def __init__(self, path: Path) -> None:
-        with extra_needed("video", "AVI files"):
-            import imageio_ffmpeg
-
         rows, cols = _first_frame_shape(path)
-        count, duration_s = imageio_ffmpeg.count_frames_and_secs(str(path))
-        if count < 1 or not duration_s > 0:
+        self._ticks, tick_s = _ticks_of_frames(path)
+        count = len(self._ticks)
+        if count < 1:
             raise InputError(f"{path.name} holds no frames", "copy or record it again")
-        self._period_s = _frame_period_s(path) or duration_s / count
+        self._period_s = _frame_period_s(path) or tick_s
         self._decoder: subprocess.Popen[bytes] | None = None
         self._next = 0
         self._lock = Lock()
@@ -56,6 +58,14 @@ class Video(FrameSource):
             raise InputError(f"{self.path.name}: frame {index} is in colour", "save the video as grey levels")
         return np.ascontiguousarray(grey)
 
+    def frame_numbers(self) -> NDArray[np.int64]:
+        """Return the tick of each frame, (T,); gaps are frames that were dropped."""
+        return self._ticks
+
+    def times_s(self) -> NDArray[np.float64]:
+        """Return the time of each frame in seconds, (T,), as the video is played back."""
+        return self._ticks.astype(np.float64) * self._period_s
+
     def close(self) -> None:
         """Stop the decoder."""
         with self._lock:
@@ -63,10 +73,11 @@ class Video(FrameSource):
 
     def _start_at(self, index: int) -> None:
         self._stop()
-        start_s = max(index - 0.25, 0) * self._period_s  # ffmpeg starts at the first frame that is not earlier
+        start_s = (self._ticks[index] - 0.25) * self._period_s  # ffmpeg starts at the first frame that is not earlier
         seek = ["-ss", f"{start_s:.6f}"] if index else []
+        even = ["-vf", "setpts=N/FRAME_RATE/TB"]  # else ffmpeg repeats frames in the place of dropped ones
         self._decoder = subprocess.Popen(
-            _command(*seek, "-i", str(self.path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"),
+            _command(*seek, "-i", str(self.path), *even, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -128,6 +139,22 @@ def _first_frame_shape(path: Path) -> tuple[int, int]:
         reason = messages[-1] if messages else "no frame"
         raise InputError(f"{path.name} cannot be decoded ({reason:.100})", "the file is damaged or no video")
     return int(header[2]), int(header[1])
+
+
+def _ticks_of_frames(path: Path) -> tuple[NDArray[np.int64], float]:
+    """Return the tick of the file's clock at which each frame is displayed, (T,), from 0, and the tick in seconds.
+
+    Frames are counted from 0 where the file does not give each a tick of its own.
+    """
+    command = _command("-i", str(path), "-map", "0:v:0", "-c", "copy", "-f", "framecrc", "-")
+    run = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    lines = run.stdout.decode(errors="replace").splitlines()
+    ticks_s = (float(Fraction(line.split(":")[1].strip())) for line in lines if line.startswith("#tb 0:"))
+    packets = (line.split(",") for line in lines if not line.startswith("#"))
+    ticks = np.sort(np.array([int(packet[2]) for packet in packets if int(packet[4]) > 0], np.int64))
+    if len(ticks) and (ticks[0] < 0 or (np.diff(ticks) < 1).any()):
+        ticks = np.arange(len(ticks), dtype=np.int64)
+    return ticks - ticks[:1], next(ticks_s, 0.0)
 
 
 def _frame_period_s(path: Path) -> float:
