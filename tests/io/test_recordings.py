@@ -455,6 +455,28 @@ def write_bad(folder, name):
     return path
 
 
+@pytest.mark.parametrize("options", [{"compression": "zlib"}, {"contiguous": False}, {"metadata": None}])
+def test_a_tiff_written_frame_by_frame_is_one_stack(tmp_path, options):
+    frames = np.random.default_rng(3).integers(0, 255, (7, 40, 60), np.uint8)
+    with tifffile.TiffWriter(tmp_path / "pages.tif") as writer:
+        for frame in frames:
+            writer.write(frame, **options)
+    with open_recording(tmp_path / "pages.tif") as recording:
+        assert recording.shape == frames.shape
+        np.testing.assert_array_equal(recording[5], frames[5])
+        np.testing.assert_array_equal(recording[:], frames)
+
+
+def test_a_cut_tiff_written_frame_by_frame_is_refused(tmp_path):
+    path = tmp_path / "pages.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in np.random.default_rng(3).integers(0, 255, (7, 40, 60), np.uint8):
+            writer.write(frame, compression="zlib")
+    path.write_bytes(path.read_bytes()[:-4000])
+    with pytest.raises(InputError, match="truncated"):
+        open_recording(path)
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     {

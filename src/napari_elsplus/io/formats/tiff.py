@@ -42,7 +42,8 @@ class PagedTiff(FrameSource):
     Notes
     -----
     tifffile writes an array of three or four frames as the planes of one colour image, unless it is told otherwise.
-    The array's shape, which it notes beside them, says that they are frames.
+    The array's shape, which it notes beside them, says that they are frames. Frames that were written one by one are
+    a series each for it; here they are one stack.
     """
 
     def __init__(self, path: Path, tiff: tifffile.TiffFile) -> None:
@@ -52,7 +53,7 @@ class PagedTiff(FrameSource):
         self._lock = Lock()
         tiff.filehandle.set_lock(True)
         with _logged_errors() as errors:
-            series = tiff.series
+            series = _frames_one_by_one(tiff) or tiff.series
         if errors:
             raise InputError(f"{path.name} is truncated or damaged ({errors[0]:.80})", "copy or record it again")
         first = series[0]
@@ -167,6 +168,21 @@ def read_image(path: Path) -> NDArray[Any]:
             return source.checked(0).copy()
         finally:
             source.close()
+
+
+def _frames_one_by_one(tiff: tifffile.TiffFile) -> list[tifffile.TiffPageSeries]:
+    """Return the pages of a file that was written a frame at a time, each with its own shape noted, as one series."""
+    import tifffile
+
+    first = tiff.pages.first
+    if len(first.shape) != 2 or len(tiff.pages) == 1:
+        return []
+    alike = []
+    for page in tiff.pages:
+        if not isinstance(page, tifffile.TiffPage) or not page.is_shaped or page.hash != first.hash:
+            return []
+        alike.append(page)
+    return [tifffile.TiffPageSeries(alike, (len(alike), *first.shape), first.dtype, "TYX", parent=tiff)]
 
 
 def _metadata(tiff: tifffile.TiffFile) -> dict[str, Any]:
