@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.line.location import Line
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
@@ -61,6 +62,8 @@ MOVING_FRAMES, MOVING_STEP_PX = 100, 8
 """Frames that are searched for it, and the step between their rows and columns; chosen: some thousand pixels do."""
 MIN_MOVING_FRAMES: Final = 5
 """For a robust standard deviation; chosen."""
+DARK_PERCENTILE: Final = 5.0
+"""Of the pixels of a view, that lie beside the bundle; chosen: corners of the view have a fifth of its pixels."""
 MIN_NOISE: Final = 0.5
 """Grey levels; chosen, as a camera that rounds them may show none."""
 MAX_CHORD: Final = 1.1
@@ -116,6 +119,16 @@ def measure_background(frames: Frames) -> Background:
     drift, line = _drift(frames, "background"), visible_line(mean[:, : column_between_views(mean)])
     stands = line is not None and line.amplitude > MOVING_SIGMAS * noise
     return Background(mean, len(frames), drift, line.row if line is not None and stands else None)
+
+
+def _line_alone(frame: Image) -> Line | None:
+    """Return the laser line where it is brighter than all else, as on a bundle that no other light fills; else None."""
+    view = frame[:, : column_between_views(frame)]
+    line = visible_line(view)
+    if line is None:
+        return None
+    dark, glow = np.percentile(view, (DARK_PERCENTILE, 50))
+    return line if line.amplitude > glow - dark else None
 
 
 def _movement(frames: Frames) -> tuple[float, float]:
@@ -219,10 +232,16 @@ def measure_pair(frames: Frames) -> BundlePair:
     Raises
     ------
     MeasurementError
-        If there are not two bundle images that show the same cores, or the level drifts by more than 5 %.
+        If there are not two bundle images that show the same cores, the laser line outshines them, or the level drifts
+        by more than 5 %.
     """
     frame = mean_frame(frames)
     share = saturated_share(frames, "image of the bundle", MAX_SATURATED_BUNDLE)
+    if (line := _line_alone(frame)) is not None:
+        raise MeasurementError(
+            f"the laser line stands at row {line.row:.0f}, and lights no more of the bundle than that",
+            "give frames of the bundle lit from its far end",
+        )
     confocal, residual = bundles.locate_pair(frame)
     whites = [(each, white_level(each)) for each in sampled(frames)]
     often = np.mean([each >= white for each, white in whites], axis=0) >= SATURATED_FRAMES

@@ -13,6 +13,7 @@ import tifffile
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.bundle.location import locate_bundle, locate_pair
+from napari_elsplus.processing.calibration.bundle.rim import fit_rim
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -155,3 +156,11 @@ def b_scan(seed: int) -> np.ndarray:
 def test_layers_of_tissue_are_no_bundle(seed: int) -> None:
     with pytest.raises(MeasurementError, match="no bundle"):
         locate_bundle(b_scan(seed))
+
+
+def test_a_circle_larger_than_the_frame_is_no_disc() -> None:
+    """The outline of a stripe gave one of a million pixels, and its edge was sampled all along."""
+    rows, cols = np.mgrid[:200, :260]
+    stripe = (100 * np.exp(-(((rows - 98.6) / 2) ** 2)) * (abs(cols - 130) < 100)).astype(np.float32)
+    with pytest.raises(MeasurementError, match="the lit area is no disc"):
+        fit_rim(stripe, np.array([-2900.0, 130.0, 3000.0]))

@@ -75,6 +75,7 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     MeasurementError
         If no rim is seen on most of the circumference.
     """
+    _refuse_other_than_disc(circle, frame)
     even = _evenly_lit(frame, circle)
     smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
     uncertainty, seen = np.zeros(3), 0.0
@@ -86,14 +87,18 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
                 "is the probe lit from the far end, and the bundle in view?",
             )
         circle, uncertainty, used = _fit_circle(points, arcs, circle)
-        if not 0.5 < 2 * circle[2] / min(frame.shape) < 2 * max(frame.shape) / min(frame.shape):
-            raise MeasurementError("no bundle: the lit area is no disc", "is the probe lit from the far end?")
+        _refuse_other_than_disc(circle, frame)
         seen = used / rays
     fine = cv2.GaussianBlur(even, (0, 0), max(0.6, float(circle[2]) / 300))
     centre, of_centre = _through_outermost(*_edge(fine, circle, 0.06, FOOT_LEVEL)[:2], circle)
     if of_centre.max() < uncertainty[:2].max():
         circle[:2], uncertainty[:2] = centre, of_centre
     return circle, uncertainty, seen
+
+
+def _refuse_other_than_disc(circle: Floats, frame: Image) -> None:
+    if not min(frame.shape) / 4 < circle[2] < max(frame.shape):
+        raise MeasurementError("no bundle: the lit area is no disc", "is the probe lit from the far end?")
 
 
 def edge_share(frame: Image, circle: Floats, side: float = 0.0) -> float:
