@@ -71,7 +71,7 @@ rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
     pyramid_descent.register, pyramid.fill_levels, odds.weakest_direction, motion_models.score_rotation,
-    model_selection.shows_rotation,
+    model_selection.largest_saving,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])
 """

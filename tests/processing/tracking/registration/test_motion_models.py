@@ -223,6 +223,7 @@ def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> N
     noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
     values = np.full(60, 1500.0)
     turned, still = (
-        np.log(values.sum()) * largest_saving(turns, sigmas, values, False) for turns in (noise + 7e-4, noise)
+        np.log(values.sum()) * largest_saving(np.stack([turns, sigmas, values]), False)
+        for turns in (noise + 7e-4, noise)
     )
     assert turned > 24 > 10 > still

@@ -43,29 +43,11 @@ def selected_model(found: Sequence[Remainder]) -> MotionModel:
     if not found:
         return MotionModel.TRANSLATION
     tests = np.array([(one.step[-1], one.sigma, one.values) for one in found]).T.copy()
-    return MotionModel.RIGID if shows_rotation(tests, 0, len(found), True) else MotionModel.TRANSLATION
+    return MotionModel.RIGID if largest_saving(tests, True) > _MARGIN else MotionModel.TRANSLATION
 
 
 @lean_kernel
-def shows_rotation(tests: NDArray[np.float64], first: int, end: int, ended: bool) -> bool:
-    """Return True if score tests select a rotation.
-
-    Parameters
-    ----------
-    tests : numpy.ndarray
-        (3, m) float64: rotation by each score test, its standard deviation, and the independent values compared.
-    first, end : int
-        The first of them that counts, and the one after the last.
-    ended : bool
-        The rotation may have ended before the last of them.
-    """
-    return largest_saving(tests[0, first:end], tests[1, first:end], tests[2, first:end], ended) > _MARGIN
-
-
-@lean_kernel
-def largest_saving(
-    turns: NDArray[np.float64], sigmas: NDArray[np.float64], values: NDArray[np.float64], ended: bool
-) -> float:
+def largest_saving(tests: NDArray[np.float64], ended: bool) -> float:
     """Return what a rotation saves at most of the sum of squares, in units of the criterion's penalty for it.
 
     Between its beginning and its end, which are sought, registrations have its weighted mean in common; others turn by
@@ -74,11 +56,12 @@ def largest_saving(
 
     Parameters
     ----------
-    turns, sigmas, values : numpy.ndarray
-        (m,) float64: rotation by each score test, its standard deviation, and the independent values compared.
+    tests : numpy.ndarray
+        (3, m) float64: rotation by each score test, its standard deviation, and the independent values compared.
     ended : bool
         The rotation may have ended before the last of them.
     """
+    turns, sigmas, values = tests[0], tests[1], tests[2]
     count, total, squares, products, compared, before = len(turns), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
         score = turns[k] / (sigmas[k] * sigmas[k])
@@ -119,7 +102,7 @@ def largest_saving(
     return float(largest)
 
 
-_shows_rotation = resolved_once(shows_rotation)
+_largest_saving = resolved_once(largest_saving)
 
 
 class ModelSelection:
@@ -147,8 +130,8 @@ class ModelSelection:
 
     def __init__(self, model: MotionModel = MotionModel.TRANSLATION) -> None:
         self.model = model
-        self._found = np.zeros((3, 2 * _REMEMBERED))
-        self._stored = 0
+        self._found = np.zeros((3, _REMEMBERED))
+        self._first = _REMEMBERED - 1
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> MotionModel:
         """Test a registration together with those before; return the model selected. It is stored if it is to be kept.
@@ -160,13 +143,11 @@ class ModelSelection:
         keep : bool
             Add its evidence to that of the earlier ones.
         """
-        tests, stored = self._found, self._stored
-        tests[0, stored], tests[1, stored], tests[2, stored] = found.step[-1], found.sigma, found.values
-        if _shows_rotation(tests, max(0, stored + 1 - _REMEMBERED), stored + 1, False):
+        tests = self._found
+        tests[0, -1], tests[1, -1], tests[2, -1] = found.step[-1], found.sigma, found.values
+        if _largest_saving(tests[:, self._first :], False) > _MARGIN:
             self.model = MotionModel.RIGID
         if keep:
-            self._stored = stored + 1
-            if self._stored == len(self._found[0]):
-                self._found[:, :_REMEMBERED] = self._found[:, _REMEMBERED:]
-                self._stored = _REMEMBERED
+            tests[:, :-1] = tests[:, 1:]
+            self._first = max(self._first - 1, 0)
         return self.model
