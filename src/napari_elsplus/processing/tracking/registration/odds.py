@@ -88,28 +88,17 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
             zero = np.float32(0)
             tt, ii, ti, ii2, ti2 = zero, zero, zero, zero, zero
             for k in range(col, stop):
-                t, i, i2 = (
-                    template[row, k],
-                    between(corners, weights, k - begin),
-                    between(corners2, weights2, k - begin),
-                )
+                t, i = template[row, k], between(corners, weights, k - begin)
+                i2 = between(corners2, weights2, k - begin)
                 tt += t * t
                 ii += i * i
                 ti += t * i
                 ii2 += i2 * i2
                 ti2 += t * i2
-            sums[0, block] += stop - col
-            sums[1, block] += float(tt)
-            sums[2, block] += float(ii)
-            sums[3, block] += float(ti)
-            sums[4, block] += float(ii2)
-            sums[5, block] += float(ti2)
+            for k, value in enumerate((np.float32(stop - col), tt, ii, ti, ii2, ti2)):
+                sums[k, block] += value
             col = stop
-    all_tt, all_ti, all_ti2 = 0.0, 0.0, 0.0
-    for block in range(sums.shape[1]):
-        all_tt += sums[1, block]
-        all_ti += sums[3, block]
-        all_ti2 += sums[5, block]
+    all_tt, all_ti, all_ti2 = sums[1].sum(), sums[3].sum(), sums[5].sum()
     if not all_tt > 0:
         return 0.0
     gain, other_gain, floor, nats = all_ti / all_tt, all_ti2 / all_tt, noise_floor(sums), 0.0
