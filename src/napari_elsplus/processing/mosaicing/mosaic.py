@@ -18,7 +18,7 @@ from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, expo
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours
+from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
 
@@ -323,7 +323,7 @@ def insert_rows(
             prefetch(value, r + _ROWS_AHEAD, k)
             prefetch(weight, r + _ROWS_AHEAD, k)
             prefetch(image_weight, above + _ROWS_AHEAD, k + whole)
-        corners, parts = neighbours(image, above, begin + whole, end - begin), bilinear(down, across)
+        corners, parts = bilinear(image, above, down, begin + whole, across, end - begin)
         nearest = above + (1 if down >= 0.5 else 0)
         aside = whole + (1 if across >= 0.5 else 0)
         weights = image_weight[nearest, begin + aside : end + aside]

@@ -100,6 +100,4 @@ class PairwiseRegistrar(Registrar):
         warp, information = motion.at(-found.shift[0], -found.shift[1]), np.zeros((4, 4))
         write_prior(1.0, motion.terms, 1.0, information)
         information[np.ix_((1, 3), (1, 3))] += np.linalg.inv(covariance)
-        link = PairRegistration(warp, information, found.score, 1.0, inf)
-        velocity, variance = motion.later_velocity(warp, link.warp_covariance)
-        return link._replace(velocity=velocity, velocity_variance=variance)
+        return self.followed(PairRegistration(warp, information, found.score, 1.0, inf), motion)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, finely_sampled, neighbours, reaches
+from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, finely_sampled, reaches
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,7 +16,7 @@ SIDE = 40
 
 @lean_kernel
 def between_four(image, above, down, left, across, size, work):
-    corners, weights = neighbours(image, above, left, size), bilinear(down, across)
+    corners, weights = bilinear(image, above, down, left, across, size)
     for k in range(size):
         work[0, k] = between(corners, weights, k)
 

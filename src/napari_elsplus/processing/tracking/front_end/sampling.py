@@ -80,43 +80,29 @@ def row_shift(pair: FramePair, row: int, warp: Warp) -> tuple[int, float, int, f
 
 
 @lean_kernel
-def neighbours(image: NDArray[np.float32], above: int, left: int, size: int) -> tuple[NDArray[np.float32], ...]:
-    """Return the four runs of pixels between which a row of samples lies: upper, right of it, lower, right of it.
+def bilinear(
+    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int
+) -> tuple[tuple[NDArray[np.float32], ...], tuple[np.float32, ...]]:
+    """Return the four runs of pixels between which a row of samples lies, and their weights.
+
+    The runs are the upper one, that right of it, the lower one, and that right of it.
 
     Parameters
     ----------
     image : numpy.ndarray
         (n, n) float32.
-    above : int
-        Row above the sampled one.
-    left : int
-        First column.
+    above, down : int, float
+        Row above the samples, and how far below it they lie, 0 to 1.
+    left, across : int, float
+        Column before the first sample, and how far beyond it that lies, 0 to 1.
     size : int
-        Number of columns.
+        Number of samples.
     """
-    end = left + size
+    end, up, near = left + size, 1 - down, 1 - across
+    upper, lower = image[above], image[above + 1]
     return (
-        image[above, left:end],
-        image[above, left + 1 : end + 1],
-        image[above + 1, left:end],
-        image[above + 1, left + 1 : end + 1],
-    )
-
-
-@lean_kernel
-def bilinear(down: float, across: float) -> tuple[np.float32, ...]:
-    """Return the weights of these four.
-
-    Parameters
-    ----------
-    down, across : float
-        Fractions of a pixel, 0 to 1, below the upper row and right of the left column.
-    """
-    return (
-        np.float32((1 - down) * (1 - across)),
-        np.float32((1 - down) * across),
-        np.float32(down * (1 - across)),
-        np.float32(down * across),
+        (upper[left:end], upper[left + 1 : end + 1], lower[left:end], lower[left + 1 : end + 1]),
+        (np.float32(up * near), np.float32(up * across), np.float32(down * near), np.float32(down * across)),
     )
 
 
@@ -126,9 +112,7 @@ def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32,
 
     Parameters
     ----------
-    corners : tuple
-        From :func:`neighbours`.
-    weights : tuple
+    corners, weights : tuple
         From :func:`bilinear`.
     k : int
         Index of the column.

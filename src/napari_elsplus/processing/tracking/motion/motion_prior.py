@@ -123,23 +123,6 @@ class MotionPrior(NamedTuple):
         density: Shift = -log(variance) - 0.5 * (DEGREES_OF_FREEDOM + 2) * np.log1p(miss / DEGREES_OF_FREEDOM)
         return density
 
-    def later_velocity(self, warp: Warp, covariance: NDArray[np.float64]) -> tuple[Velocity, float]:
-        """Return the later frame's velocity given a registered warp, and its variance (larger axis).
-
-        Parameters
-        ----------
-        warp : Warp
-            From the earlier to the later frame.
-        covariance : numpy.ndarray
-            (4, 4) covariance of a, b, s, d.
-        """
-        velocity, variance, of_stretch, of_shift = velocity_given(self, warp)
-        s = covariance.tolist()
-        return velocity, variance + max(
-            of_stretch**2 * s[k][k] + 2 * of_stretch * of_shift * s[k][k + 1] + of_shift**2 * s[k + 1][k + 1]
-            for k in (0, 2)
-        )
-
 
 @compilable
 def expected_warp(prior: MotionPrior) -> Warp:

@@ -15,14 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import (
-    between,
-    bilinear,
-    finely_sampled,
-    neighbours,
-    reaches,
-    row_shift,
-)
+from napari_elsplus.processing.tracking.front_end import sampling
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 
 if TYPE_CHECKING:
@@ -37,7 +30,7 @@ TONE = 2
 PARAMETERS = 4
 """a, b, s, d of the warp: the next ones."""
 UNKNOWNS = TONE + PARAMETERS
-"""Both together."""
+"""Both together; a rotation, where one is estimated, is the next."""
 NOISE_GRADIENT = 0.6
 """Mean squared gradient of noise over its variance, 1 / px^2; derived for noise smoothed by 1 4 6 4 1."""
 MIN_SHARED = 0.1
@@ -80,6 +73,8 @@ class Workspace(NamedTuple):
     stiffness, schur : numpy.ndarray
         (4, 4) float64: information of the prior of a warp; what :func:`solve` leaves of the equations of a warp that is
         not kept.
+    sums : numpy.ndarray
+        (5,) float64: of :func:`add_row`.
     samples : numpy.ndarray
         (2, n) float32, as wide as the frames.
     """
@@ -89,6 +84,7 @@ class Workspace(NamedTuple):
     tone: Array
     stiffness: Array
     schur: Array
+    sums: Array
     samples: NDArray[np.float32]
 
     @classmethod
@@ -96,7 +92,7 @@ class Workspace(NamedTuple):
         """Return one for frames of so many rows and columns, `side`."""
         stiffness, schur = np.zeros((2, PARAMETERS, PARAMETERS))
         normal, right = np.zeros((UNKNOWNS + 1, UNKNOWNS + 1)), np.zeros(UNKNOWNS + 1)
-        return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros((2, side), np.float32))
+        return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros(5), np.zeros((2, side), np.float32))
 
 
 @lean_kernel
@@ -117,7 +113,7 @@ def tone_between(pair: FramePair, warp: Warp, row_step: int) -> tuple[float, flo
     template, image = pair.template, pair.image
     count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(1, len(template) - 1, row_step):
-        above, down, whole, across, begin, end = row_shift(pair, row, warp)
+        above, down, whole, across, begin, end = sampling.row_shift(pair, row, warp)
         nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
         here, there = template[row, begin:end], image[nearest, begin + aside : end + aside]
         for k in range(end - begin):
@@ -136,7 +132,7 @@ def tone_between(pair: FramePair, warp: Warp, row_step: int) -> tuple[float, flo
 
 @lean_kernel
 def accumulate(
-    pair: FramePair, warp: Warp, row_step: int, finely: bool, work: Workspace
+    pair: FramePair, how: Iteration, warp: Warp, work: Workspace, column: float | None
 ) -> tuple[float, float, float, float, float]:
     """Fill the normal equations of a step, to be completed by :func:`complete`.
 
@@ -147,57 +143,46 @@ def accumulate(
     ----------
     pair : FramePair
         Frames that are compared.
+    how : Iteration
+        Which rows, and how they are sampled.
     warp : Warp
         From the template to the image.
-    row_step, finely
-        As of :class:`Iteration`.
     work : Workspace
         With gain and offset of the image against the template.
+    column : float or None
+        Column of the bundle's centre, if the equation of a rotation about it is to be the last one. For None the
+        kernel is compiled without it.
     """
     template, image, middle = pair.template, pair.image, pair.middle
-    normal, right = work.normal, work.right
+    normal, right, sums = work.normal, work.right, work.sums
     normal[:] = 0.0
     right[:] = 0.0
-    sum_i, sum_ii, sum_ti, steep, noise_level = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, len(template) - 1, row_step):
-        above, down, whole, across, begin, end = row_shift(pair, row, warp)
+    sums[:] = 0.0
+    for row in range(1, len(template) - 1, how.row_step):
+        above, down, whole, across, begin, end = sampling.row_shift(pair, row, warp)
         if end <= begin:
             continue
         size = end - begin
-        if finely and reaches(image.shape, above, begin + whole, size):
-            corners, weights = finely_sampled(image, above, down, begin + whole, across, size, work.samples)
+        if how.finely and sampling.reaches(image.shape, above, begin + whole, size):
+            corners, weights = sampling.finely_sampled(image, above, down, begin + whole, across, size, work.samples)
         else:
-            corners, weights = neighbours(image, above, begin + whole, size), bilinear(down, across)
-        i1, ii, ti, gradients, weighted = add_row(
-            template, row, (begin, end), corners, weights, work.tone, (row - middle, 1.0), normal, right
-        )
-        sum_i += i1
-        sum_ii += ii
-        sum_ti += ti
-        steep += gradients
-        noise_level += weighted
+            corners, weights = sampling.bilinear(image, above, down, begin + whole, across, size)
+        powers = (row - middle, 1.0)
+        add_row(template, row, (begin, end), corners, weights, work.tone, powers, column, normal, right, sums)
     sum_tt, sum_t, count = normal[0, 0], normal[1, 0], normal[1, 1]
-    if count == 0 or steep == 0:
+    if count == 0 or sums[3] == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
-    return (
-        count,
-        sum_tt - sum_t * sum_t / count,
-        sum_ii - sum_i * sum_i / count,
-        sum_ti - sum_t * sum_i / count,
-        noise_level / steep,
-    )
+    variances = sum_tt - sum_t * sum_t / count, sums[1] - sums[0] * sums[0] / count
+    return count, *variances, sums[2] - sum_t * sums[0] / count, sums[4] / sums[3]
 
 
 @lean_kernel
 def add_row(
     template: NDArray[np.float32], row: int, columns: tuple[int, int], corners: tuple[NDArray[np.float32], ...],
-    weights: tuple[np.float32, ...], tone: Array, powers: tuple[float, ...], normal: Array,
-    right: Array,
-) -> tuple[float, ...]:  # fmt: skip
+    weights: tuple[np.float32, ...], tone: Array, powers: tuple[float, ...], column: float | None, normal: Array,
+    right: Array, sums: Array,
+) -> None:  # fmt: skip
     """Add a row of the template, and what it is compared with, to normal equations.
-
-    Returns sums over its pixels: of the image i, i i, and i times the template; of the squared gradient, and of that
-    times the squared residual.
 
     Parameters
     ----------
@@ -213,9 +198,14 @@ def add_row(
         Gain and offset of the image against the template.
     powers : tuple of float
         (m,) derivatives of the row's shift by the m coefficients that each axis has.
+    column
+        As of :func:`accumulate`.
     normal, right : numpy.ndarray
         (2 m + 2, 2 m + 2) and (2 m + 2,), or larger, for gain, offset, the coefficients of rows and those of columns;
         columns of gain and offset from the diagonal on.
+    sums : numpy.ndarray
+        (5,), for sums over pixels: of the image i, i i, and i times the template; of the squared gradient, and of that
+        times the squared residual.
     """
     begin, end = columns
     gain, offset, half, zero = np.float32(tone[0]), np.float32(tone[1]), np.float32(0.5), np.float32(0)
@@ -223,9 +213,12 @@ def add_row(
     left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
     t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
     y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    w1, ww, wy, wx, wt, we, x0 = zero, zero, zero, zero, zero, zero, zero
+    if column is not None:
+        x0 = np.float32(begin - column)
     for k in range(end - begin):
         t, gx, gy = here[k], half * (right_of[k] - left[k]), half * (under[k] - over[k])
-        i = between(corners, weights, k)
+        i = sampling.between(corners, weights, k)
         e = i - gain * t - offset
         t1 += t
         i1 += i
@@ -242,6 +235,14 @@ def add_row(
         ye += gy * e
         xe += gx * e
         gg += (gy * gy + gx * gx) * e * e
+        if column is not None:
+            w = (x0 + np.float32(np.int32(k))) * gy
+            w1 += w
+            ww += w * w
+            wy += w * gy
+            wx += w * gx
+            wt += w * t
+            we += w * e
     gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
     size = len(powers)
     for m in range(2):
@@ -253,12 +254,22 @@ def add_row(
             normal[at, 0] += powers[p] * with_tone[m]
             normal[at, 1] += powers[p] * both[m]
             right[at] += powers[p] * with_residual[m]
+    if column is not None:
+        last = TONE + 2 * size
+        normal[last, 0] += wt
+        normal[last, 1] += w1
+        for p in range(size):
+            normal[last, TONE + p] += powers[p] * wy
+            normal[last, TONE + size + p] += powers[p] * wx
+        normal[last, last] += ww
+        right[last] += we
     normal[0, 0] += float(tt)
     normal[1, 0] += float(t1)
     normal[1, 1] += end - begin
     right[0] += float(ti) - tone[0] * float(tt) - tone[1] * float(t1)
     right[1] += float(i1) - tone[0] * float(t1) - tone[1] * (end - begin)
-    return float(i1), float(ii), float(ti), float(yy) + float(xx), float(gg)
+    for n, total in enumerate((float(i1), float(ii), float(ti), float(yy) + float(xx), float(gg))):
+        sums[n] += total
 
 
 @lean_kernel
@@ -298,7 +309,7 @@ def align(
     ncc, count = 0.0, 0.0
     information[:] = 0.0
     for _ in range(how.steps):
-        count, template_sum, image_sum, both, noise = accumulate(pair, warp, how.row_step, how.finely, work)
+        count, template_sum, image_sum, both, noise = accumulate(pair, how, warp, work, None)
         if not (template_sum > 0 and image_sum > 0):
             return 0.0, count, warp
         ncc = both / np.sqrt(template_sum * image_sum)
@@ -322,9 +333,7 @@ def align(
         warp = Warp(a, warp.b - a * db, s, warp.d - dd - s * db)
         tone[0] += right[0]
         tone[1] += right[1]
-        for i in range(PARAMETERS):
-            for k in range(PARAMETERS):
-                information[i, k] /= noise
+        information /= noise
         if abs(db) + abs(dd) + (abs(da) + abs(ds)) * 0.5 * len(pair.first) < how.tolerance_px:
             break
     return ncc, count, warp

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     TONE,
@@ -171,9 +170,11 @@ def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:
 @lean_kernel
 def score_rotation(
     pair: FramePair, column: float, warp: Warp, stiffness: tuple[float, float], turn: tuple[float, float],
-    work: Workspace, found: Matrix,
-) -> bool:  # fmt: skip
-    """Estimate what a rotation would add to a warp; return False where the frames do not overlap or show nothing.
+    work: Workspace,
+) -> tuple[float, ...]:  # fmt: skip
+    """Estimate what a rotation would add to a warp; return the numbers of a :class:`Remainder`.
+
+    All are 0 where the frames do not overlap or show nothing.
 
     Parameters
     ----------
@@ -189,17 +190,15 @@ def score_rotation(
         Rotation that is expected, radians, and its standard deviation.
     work : Workspace
         For frames of this size or larger.
-    found : numpy.ndarray
-        (7,) float64, filled: the fields of :class:`Remainder`.
     """
-    normal, right, tone = work.normal, work.right, work.tone
+    normal, right, tone = work.normal, work.right[: UNKNOWNS + 1], work.tone
+    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     there = in_pixels_of(2.0, warp)
     tone[0], tone[1] = tone_between(pair, there, _SCORED.tone_step)
-    count, template_sum, image_sum, _, noise = accumulate(pair, there, _SCORED.row_step, _SCORED.finely, work)
+    count, template_sum, image_sum, _, noise = accumulate(pair, _SCORED, there, work, column)
     noise *= CORRELATED_PX / 4
     if not (noise > 0 and template_sum > 0 and image_sum > 0):
-        return False
-    _add_rotation(pair, column, there, work)
+        return nothing
     complete(normal, right, np.sqrt(image_sum / template_sum))
     of_prior = noise / turn[1] ** 2
     normal[TONE, TONE] += stiffness[0] * noise
@@ -207,53 +206,6 @@ def score_rotation(
     normal[UNKNOWNS, UNKNOWNS] += of_prior
     right[UNKNOWNS] += turn[0] * of_prior
     if not solve(normal, right, TONE, work.schur):
-        return False
-    found[0], found[1], found[2], found[3] = right[2], 2 * right[3], right[4], 2 * right[5]
-    found[4], found[5] = right[UNKNOWNS], np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS])
-    found[6] = count / (CORRELATED_PX / 4)
-    return True
-
-
-@lean_kernel
-def _add_rotation(pair: FramePair, column: float, warp: Warp, work: Workspace) -> None:
-    """Add the equation of a rotation to normal equations, as the last one.
-
-    Parameters
-    ----------
-    pair, column
-        As of :func:`score_rotation`.
-    warp : Warp
-        In pixels of these images.
-    work : Workspace
-        With gain and offset of the image against the template.
-    """
-    template, image, middle, half = pair.template, pair.image, pair.middle, np.float32(0.5)
-    products, right, tone = work.normal[UNKNOWNS], work.right, work.tone
-    gain, offset = np.float32(tone[0]), np.float32(tone[1])
-    for row in range(1, len(template) - 1):
-        above, down, whole, across, begin, end = row_shift(pair, row, warp)
-        if end <= begin:
-            continue
-        here, corners = template[row, begin:end], neighbours(image, above, begin + whole, end - begin)
-        before, after = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
-        over, under = template[row - 1, begin:end], template[row + 1, begin:end]
-        weights, x0, zero = bilinear(down, across), np.float32(begin - column), np.float32(0)
-        ww, we, wy, wx, wt, w1 = zero, zero, zero, zero, zero, zero
-        for k in range(end - begin):
-            gx, gy = half * (after[k] - before[k]), half * (under[k] - over[k])
-            w, t = (x0 + np.float32(np.int32(k))) * gy, here[k]
-            ww += w * w
-            we += w * (between(corners, weights, k) - gain * t - offset)
-            wy += w * gy
-            wx += w * gx
-            wt += w * t
-            w1 += w
-        y = row - middle
-        products[0] += wt
-        products[1] += w1
-        products[2] += y * wy
-        products[3] += wy
-        products[4] += y * wx
-        products[5] += wx
-        products[UNKNOWNS] += ww
-        right[UNKNOWNS] += we
+        return nothing
+    sigma, values = np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS]), count / (CORRELATED_PX / 4)
+    return right[2], 2 * right[3], right[4], 2 * right[5], right[UNKNOWNS], sigma, values

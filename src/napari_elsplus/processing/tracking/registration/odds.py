@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align, tone_between
@@ -78,9 +78,8 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
         begin, end = max(begin, begin2), min(end, end2)
         if end <= begin:
             continue
-        weights, weights2 = bilinear(down, aside), bilinear(down2, aside2)
-        corners = neighbours(image, above, begin + whole, end - begin)
-        corners2 = neighbours(image, above2, begin + whole2, end - begin)
+        corners, weights = bilinear(image, above, down, begin + whole, aside, end - begin)
+        corners2, weights2 = bilinear(image, above2, down2, begin + whole2, aside2, end - begin)
         col = begin
         while col < end:
             block = row // BLOCK_PX * across + col // BLOCK_PX

@@ -19,7 +19,7 @@ from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
 from napari_elsplus.processing.tracking.registration.odds import weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
-from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, register
+from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, later_velocity, register
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -127,17 +127,12 @@ class PairRegistration(NamedTuple):
         return self.sigma < _TELLING_PX
 
     @property
-    def warp_covariance(self) -> NDArray[np.float64]:
-        """(4, 4) covariance of a, b, s, d."""
-        try:
-            return np.ascontiguousarray(np.linalg.inv(self.information))
-        except np.linalg.LinAlgError:
-            return np.full((4, 4), np.inf) * np.eye(4)
-
-    @property
     def covariance(self) -> NDArray[np.float64]:
-        """(2, 2) covariance of the shift (rows, cols), px squared."""
-        return np.ascontiguousarray(self.warp_covariance[1::2, 1::2])
+        """(2, 2) covariance of the shift (rows, cols), px squared; NaN where nothing constrains it."""
+        try:
+            return np.ascontiguousarray(np.linalg.inv(self.information)[1::2, 1::2])
+        except np.linalg.LinAlgError:
+            return np.full((2, 2), nan)
 
 
 class TrackedPair(NamedTuple):
@@ -213,7 +208,6 @@ class Registrar:
         self._middle, self._column = half.centre
         self._everywhere = ShiftSearch(*grid.binned(coarsest_px).spans(), coarsest_px)
         self._tools = Tools.of(grid, lit)
-        self._found = np.empty(10)
         self._scratch = self.view()
 
     def view(self) -> PreparedFrame:
@@ -263,11 +257,10 @@ class Registrar:
         min_correlation: float = 0.0,
     ) -> PairRegistration:  # fmt: skip
         """Register two frames from a warp, or from the expected one."""
-        information, found = np.empty((4, 4)), self._found
-        if start is not None:
-            found[:4] = start
-        _register(earlier.arrays, later.arrays, motion, start is None, min_correlation, self._tools, information, found)
-        a, b, s, d, correlation, odds, row, col, variance, overlap = found.tolist()
+        information, tools = np.empty((4, 4)), self._tools
+        a, b, s, d, correlation, overlap, odds, row, col, variance = _register(
+            earlier.arrays, later.arrays, motion, start or Warp(), start is None, min_correlation, tools, information
+        )
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
     def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> Warp:
@@ -303,13 +296,9 @@ class Registrar:
         rim : bool
             Compare the rim as well: a test has more power with it, an estimate less bias without.
         """
-        stiffness, found = (spread[0] ** -2, spread[1] ** -2), self._found
-        if not _score_rotation(
-            self._halves(earlier, later, rim=rim), self._column, warp, stiffness, turn, self._tools.work, found
-        ):  # fmt: skip
-            return None
-        a, b, s, d, angle, sigma, values, *_ = found.tolist()
-        return motion_models.Remainder(np.array([a, b, s, d, angle]), sigma, values)
+        pair, stiffness = self._halves(earlier, later, rim=rim), (spread[0] ** -2, spread[1] ** -2)
+        *step, sigma, values = _score_rotation(pair, self._column, warp, stiffness, turn, self._tools.work)
+        return motion_models.Remainder(np.array(step), sigma, values) if values else None
 
     def _turned(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, expected: Turn, *, anywhere: bool
@@ -340,8 +329,7 @@ class Registrar:
                 break
         stretch, shear = 1 + before.row / rows, before.col / rows
         warp = Warp(warp.a * stretch, warp.b, warp.s * stretch + shear, warp.d)
-        velocity, variance = own.later_velocity(warp, link.warp_covariance)
-        return link._replace(warp=warp, velocity=velocity, velocity_variance=variance, turn=turn, turn_sigma=sigma)
+        return self.followed(link._replace(warp=warp, turn=turn, turn_sigma=sigma), own)
 
     def evened(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, link: PairRegistration,
@@ -364,8 +352,20 @@ class Registrar:
         warp, link = found[0], link._replace(information=found[1])
         if hypot(warp.b - link.warp.b, warp.d - link.warp.d) < EXACT_PX:
             return link
-        velocity, variance = motion.later_velocity(warp, link.warp_covariance)
-        return link._replace(warp=warp, velocity=velocity, velocity_variance=variance)
+        return self.followed(link._replace(warp=warp), motion)
+
+    def followed(self, link: PairRegistration, motion: MotionPrior) -> PairRegistration:
+        """Return a registration with the later frame's velocity as it follows from the warp.
+
+        Parameters
+        ----------
+        link : PairRegistration
+            Of two frames.
+        motion : MotionPrior
+            Prior of the motion between them.
+        """
+        row, col, variance = later_velocity(motion, link.warp, link.information, self._tools.work)
+        return link._replace(velocity=Velocity(row, col), velocity_variance=variance)
 
     def _halves(self, earlier: PreparedFrame, later: PreparedFrame, *, rim: bool = True) -> FramePair:
         """Return two frames at half resolution, with or without the rim."""

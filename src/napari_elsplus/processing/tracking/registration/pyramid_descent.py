@@ -14,7 +14,6 @@ from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     PARAMETERS,
     Iteration,
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 
     Array = NDArray[np.float64]
 
@@ -122,10 +122,13 @@ def pair_of(which: int, earlier: Levels, later: Levels, tools: Tools) -> FramePa
 
 @lean_kernel
 def register(
-    earlier: Levels, later: Levels, prior: MotionPrior, as_expected: bool, min_correlation: float, tools: Tools,
-    information: Array, found: Array,
-) -> None:  # fmt: skip
+    earlier: Levels, later: Levels, prior: MotionPrior, start: Warp, as_expected: bool, min_correlation: float,
+    tools: Tools, information: Array,
+) -> tuple[float, ...]:  # fmt: skip
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
+
+    Returns a, b, s, d of the warp; the correlation; the part of the disc that both frames show; log odds, nats; and
+    what :func:`later_velocity` returns.
 
     Parameters
     ----------
@@ -133,23 +136,21 @@ def register(
         Frames; levels that are missing are filled.
     prior : MotionPrior
         Of the motion between them.
+    start : Warp
+        Where to start.
     as_expected : bool
-        Start from the expected warp; else from the one that is found already.
+        Start from the expected warp instead.
     min_correlation : float
         Correlation that is needed: without it the odds are not computed, and minus infinity.
     tools : Tools
         For frames on this grid.
     information : numpy.ndarray
         (4, 4) float64, filled: inverse covariance of a, b, s, d.
-    found : numpy.ndarray
-        (10,) float64: a, b, s, d of the warp from which to start, and in return of the result; filled: correlation; log
-        odds, nats; velocity (rows, cols) of the later frame, pixels per frame period, and its variance; and the part
-        of the disc that both frames show.
     """
     fill_levels(earlier, tools.pyramid)
     fill_levels(later, tools.pyramid)
     terms, expected = terms_of(prior.covariance, prior.line_periods_per_frame), expected_warp(prior)
-    warp = expected if as_expected else Warp(found[0], found[1], found[2], found[3])
+    warp = expected if as_expected else start
     begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
     first, end = _TO_HALF
     stages = first + 1 if begins_at_half else first, end
@@ -168,11 +169,9 @@ def register(
             pair = pair_of(1, earlier, later, tools)
             odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
             odds = min(odds, _odds_against_unrelated(correlation, count))
-    velocity, variance, of_stretch, of_shift = velocity_given(prior, warp)
-    found[0], found[1], found[2], found[3] = warp
-    found[4], found[5], found[6], found[7] = correlation, odds, velocity.row, velocity.col
-    found[8] = variance + _variance_along(information, of_stretch, of_shift, tools.work)
-    found[9] = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
+    overlap = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
+    row, col, variance = later_velocity(prior, warp, information, tools.work)
+    return warp.a, warp.b, warp.s, warp.d, correlation, overlap, odds, row, col, variance
 
 
 @lean_kernel
@@ -182,8 +181,23 @@ def _odds_against_unrelated(correlation: float, count: float) -> float:
 
 
 @lean_kernel
-def _variance_along(information: Array, of_stretch: float, of_shift: float, work: Workspace) -> float:
-    """Return the variance of a sum of stretch and row shift, so weighted, or of shear and column shift if larger."""
+def later_velocity(prior: MotionPrior, warp: Warp, information: Array, work: Workspace) -> tuple[float, float, float]:
+    """Return the later frame's velocity (rows, cols) given a registered warp, and its variance (larger axis).
+
+    In pixels per frame period; the variance is infinite where nothing constrains the warp.
+
+    Parameters
+    ----------
+    prior : MotionPrior
+        Of the motion between the frames.
+    warp : Warp
+        From the earlier to the later frame.
+    information : numpy.ndarray
+        (4, 4) inverse covariance of a, b, s, d.
+    work : Workspace
+        Scratch.
+    """
+    velocity, variance, of_stretch, of_shift = velocity_given(prior, warp)
     along, largest = work.right[:PARAMETERS], 0.0
     for k in (0, 2):
         along[:] = 0.0
@@ -192,9 +206,9 @@ def _variance_along(information: Array, of_stretch: float, of_shift: float, work
             for j in range(PARAMETERS):
                 work.normal[i, j] = information[i, j]
         if not solve(work.normal, along, 0, work.schur):
-            return np.inf
+            return velocity.row, velocity.col, np.inf
         largest = max(largest, of_stretch * along[k] + of_shift * along[k + 1])
-    return largest
+    return velocity.row, velocity.col, variance + largest
 
 
 @lean_kernel

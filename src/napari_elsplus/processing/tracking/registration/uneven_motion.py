@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import bilinear, neighbours, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import bilinear, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import (
     TONE,
@@ -73,9 +73,9 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
     values, mean, right = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS)
     values[_OF_WARP], mean[_OF_WARP] = start, expected
     values[:TONE] = mean[:TONE] = tone_between(pair, start, _STEPS.tone_step)
-    square = 2 / motion.line_periods_per_frame**2
+    square, sums = 2 / motion.line_periods_per_frame**2, np.empty(5)
     for _ in range(_STEPS.steps):
-        noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right)
+        noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right, sums)
         if not noise > 0:
             return None
         try:
@@ -93,7 +93,7 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
 
 
 @lean_kernel
-def _equations(pair: FramePair, values: Array, square: float, normal: Array, right: Array) -> float:
+def _equations(pair: FramePair, values: Array, square: float, normal: Array, right: Array, sums: Array) -> float:
     """Fill the normal equations of gain, offset, a, b, J, s, d and J; return the variance of the noise.
 
     Parameters
@@ -104,13 +104,13 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         (8,) of these, in pixels of the frames.
     square : float
         Shift of a row by J = 1 over the square of its distance from the middle.
-    normal, right : numpy.ndarray
-        (8, 8) and (8,), filled.
+    normal, right, sums : numpy.ndarray
+        (8, 8), (8,) and (5,), filled.
     """
     normal[:] = 0.0
     right[:] = 0.0
     a, b, jerk_down, s, d, jerk_aside = values[2], values[3], values[4], values[5], values[6], values[7]
-    steep, noise = 0.0, 0.0
+    sums[:] = 0.0
     for row in range(1, len(pair.template) - 1):
         y = row - pair.middle
         bend = square * y * y
@@ -118,11 +118,9 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
-        corners = neighbours(pair.image, above, begin + whole, end - begin)
-        _, _, _, gradients, weighted = add_row(
-            pair.template, row, (begin, end), corners, bilinear(down, across), values, (y, 1.0, bend), normal, right
-        )
-        steep += gradients
-        noise += weighted
+        corners, weights = bilinear(pair.image, above, down, begin + whole, across, end - begin)
+        add_row(
+            pair.template, row, (begin, end), corners, weights, values, (y, 1.0, bend), None, normal, right, sums
+        )  # fmt: skip
     complete(normal, right, values[0])
-    return noise / steep if steep > 0 else 0.0
+    return sums[4] / sums[3] if sums[3] > 0 else 0.0
