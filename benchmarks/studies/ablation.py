@@ -192,7 +192,7 @@ def changes() -> list[Change]:
         *constant("sharp without competitors, px", "registration/pyramid_descent", "SHARP_PX"),
         *left_out(
             "unrelated frames compete", "registration/pyramid_descent",
-            ("            odds = min(odds, _odds_against_unrelated(correlation, count))\n", ""),
+            ("            nats = min(nats, _odds_against_unrelated(correlation, count))\n", ""),
         ),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),

@@ -76,7 +76,7 @@ def drifts(monkeypatch: pytest.MonkeyPatch) -> None:
     def off(self, earlier, here, link, motion):
         fits = place(self, earlier, here, link, motion)
         if fits:
-            here.row, here.col = here.row + DRIFT[0], here.col + DRIFT[1]
+            here.at += complex(*DRIFT)
         return fits
 
     monkeypatch.setattr(tracking.Tracker, "_place", off)

@@ -63,7 +63,7 @@ def test_nothing_is_left_to_compile_when_frames_come() -> None:
 from napari_elsplus.acquisition.mosaic.tracking import warm_up
 from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking.registration import (
-    model_selection, motion_models, odds, pyramid, pyramid_descent,
+    motion_models, odds, pyramid, pyramid_descent,
 )
 from napari_elsplus.workflows.tracking import Pipeline
 
@@ -71,7 +71,7 @@ rig = simulated_rig()
 warm_up(Pipeline(rig.calibration, rig.instrument.frame_shape), rig.instrument.frame_shape)
 called = (
     pyramid_descent.register, pyramid.fill_levels, odds.weakest_direction, motion_models.score_rotation,
-    model_selection.largest_saving,
+    motion_models.largest_saving,
 )
 print([kernel.__name__ for kernel in called if not kernel.signatures])
 """

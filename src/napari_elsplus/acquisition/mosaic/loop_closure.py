@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from napari_elsplus.hardware.priority import leave_frame_core
 from napari_elsplus.processing.tracking.pose_graph.graph import MAX_NODES, PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.keyframe_store import Keyframe
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
-    from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
+    from napari_elsplus.processing.tracking.pose_graph.nodes import Node
     from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 DISPLACEMENT_LIMIT_PX: Final = 0.5

@@ -20,7 +20,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.pose_graph.correction import Corrections
-from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
+from napari_elsplus.processing.tracking.pose_graph.nodes import KeyframeSelector
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Pipeline

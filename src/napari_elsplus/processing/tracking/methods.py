@@ -13,10 +13,9 @@ import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, refine
-from napari_elsplus.processing.tracking.registration.model_selection import selected_model
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, selected_model
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
@@ -39,8 +38,8 @@ _MAX_PREPARED_FRAMES: Final = 300
 """Prepared frames kept in memory during refinement, frames of some 0.3 MB each; chosen, others are computed again."""
 _MAX_TESTED: Final = 600
 """Registrations of a finished track that are tested for rotation; chosen: some 0.2 s."""
-_LOOSE: Final = (0.01, 0.01)
-"""Standard deviations of stretch and shear in this test; chosen, above what velocities leave open."""
+_LOOSE: Final = 0.01
+"""Standard deviation of stretch and shear in this test; chosen, above what velocities leave open."""
 
 
 class TrackingMethod(Protocol):

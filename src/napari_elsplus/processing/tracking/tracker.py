@@ -8,6 +8,7 @@ that no link reaches are predicted for a while, then lost; a new segment starts 
 
 from __future__ import annotations
 
+from cmath import rect
 from dataclasses import dataclass
 from math import hypot, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
@@ -16,8 +17,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, MIN_SHARE_TURNING, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
-from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection
-from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.registration.motion_models import ModelSelection, MotionModel
 from napari_elsplus.processing.tracking.registration.pair_registration import (
     MIN_ODDS_NATS,
     PairRegistration,
@@ -58,8 +58,7 @@ class _Placed:
     view: PreparedFrame
     index: int = -1
     period: int = -1
-    row: float = 0.0
-    col: float = 0.0
+    at: complex = 0j
     velocity: Velocity = AT_REST
     angle: float = 0.0
     velocity_variance: float = 0.0
@@ -249,7 +248,7 @@ class Tracker:
 
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
         """Begin a segment with a frame that was placed."""
-        here.row = here.col = here.angle = 0.0
+        here.at, here.angle = 0j, 0.0
         self._key = here
         self._segment += 1
         self._began = self._tested = here.period
@@ -263,11 +262,12 @@ class Tracker:
         patient = here.period - last.period <= PATIENCE_FRAMES
         if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
-        row, col = turned_by(last.angle) @ ahead
-        return Pose(
-            self._segment, last.row + float(row), last.col + float(col), self._motion.next_velocity, nan, nan,
-            TrackingState.PREDICTED, last.angle + self._expected_turn(last, here).angle,
-        )  # fmt: skip
+        place, angle = (
+            last.at + rect(1, last.angle) * complex(*ahead),
+            last.angle + self._expected_turn(last, here).angle,
+        )
+        velocity, predicted = self._motion.next_velocity, TrackingState.PREDICTED
+        return Pose(self._segment, place.real, place.imag, velocity, nan, nan, predicted, angle)
 
     def _test_rotation(self, *, renew: bool) -> None:
         """Test, now and then, for rotation since the key frame, and from when on it is modelled."""
@@ -293,11 +293,8 @@ class Tracker:
         """Displacement from a placed frame that the motion so far suggests, in the orientation of the last one."""
         last = self._last
         ahead = self._motion.ahead(period - last.period)
-        gone = last.row - earlier.row, last.col - earlier.col
-        if self.model is not MotionModel.TRANSLATION:
-            row, col = turned_by(-last.angle) @ gone
-            gone = float(row), float(col)
-        return Displacement(gone[0] + ahead.row, gone[1] + ahead.col)
+        gone = rect(1, -last.angle) * (last.at - earlier.at)
+        return Displacement(gone.real + ahead.row, gone.imag + ahead.col)
 
     def _prior(self, earlier: _Placed, here: _Placed, ahead: Displacement) -> MotionPrior:
         """Return the prior of the motion from a placed frame."""
@@ -335,9 +332,8 @@ class Tracker:
         shutter, expected = self.grid.shutter, motion.displacement
         moved = shutter.displacement(link.warp, link.velocity)
         gap = here.period - self._last.period
-        lost = gap - (
-            here.index - self._last.index
-        )  # frames that came and were not linked tell of a jolt, these do not
+        # frames that came and were not linked tell of a jolt, lost ones do not
+        lost = gap - (here.index - self._last.index)
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col) / (1 + lost)
         jerk_sigma = self._motion.jerk_sigma(link.velocity, link.warp, missed_px)
         uneven_px = self._motion.uneven_px(jerk_sigma)
@@ -355,8 +351,7 @@ class Tracker:
         if not self._motion.known:
             earlier.velocity, earlier.velocity_variance = after, here.velocity_variance
         here.angle, here.velocity = earlier.angle + link.turn, after
-        row, col = moved if self.model is MotionModel.TRANSLATION else turned_by(here.angle) @ moved
-        here.row, here.col = earlier.row + float(row), earlier.col + float(col)
+        here.at = earlier.at + rect(1, here.angle) * complex(*moved)
         if self.model is not MotionModel.TRANSLATION:
             self._turning.follow(here.angle - self._last.angle, gap)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
@@ -369,7 +364,5 @@ class Tracker:
         self._fell = fall > sqrt(self._variance)
         self._usual = link.correlation + (1 - _MEMORY) * fall
         self._variance += _MEMORY * (fall * fall - self._variance)
-        return Pose(
-            self._segment, here.row, here.col, here.velocity, link.correlation, here.sigma, TrackingState.TRACKED,
-            here.angle,
-        )  # fmt: skip
+        row, col, tracked = here.at.real, here.at.imag, TrackingState.TRACKED
+        return Pose(self._segment, row, col, here.velocity, link.correlation, here.sigma, tracked, here.angle)

@@ -14,8 +14,7 @@ from napari_elsplus.processing.tracking.pose_graph import graph as pose_graph
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction, Corrections
 from napari_elsplus.processing.tracking.pose_graph.edge import Edge
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector, Node
-from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.nodes import KeyframeSelector, Node, NodeRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
 from napari_elsplus.processing.tracking.tracker import Tracker
 from recordings import Truth, record, texture

@@ -11,8 +11,7 @@ from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
-from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.nodes import Node, NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.place_recognition import PlaceRecognition
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar

@@ -7,11 +7,12 @@ import pytest
 from motion_priors import about
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration.model_selection import ModelSelection, largest_saving
 from napari_elsplus.processing.tracking.registration.motion_models import (
+    ModelSelection,
     MotionModel,
     Remainder,
     composed,
+    largest_saving,
     turned_by,
     upright,
 )
@@ -20,7 +21,7 @@ from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, St
 from simulated import followed
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
-LOOSE = (0.02, 0.02)
+LOOSE = 0.02
 SIGMA = 3e-4
 
 

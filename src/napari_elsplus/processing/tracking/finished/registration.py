@@ -14,7 +14,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.prediction import AT_REST
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Warp
-from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
 from napari_elsplus.processing.tracking.registration.pyramid import Levels
 

@@ -15,12 +15,7 @@ import cv2
 import numpy as np
 from scipy.special import logsumexp
 
-from napari_elsplus.processing.tracking.registration.masked_correlation import (
-    CoarseImage,
-    MaskedCorrelation,
-    high_passed,
-    opposite,
-)
+from napari_elsplus.processing.tracking.registration import masked_correlation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,7 +55,7 @@ class SpectraOfImage(NamedTuple):
         Of the image, at each lag.
     """
 
-    image: CoarseImage
+    image: masked_correlation.CoarseImage
     variance: NDArray[np.float32]
     variance_sums: NDArray[np.float32]
     autocorrelation: NDArray[np.float32]
@@ -99,7 +94,7 @@ class ShiftOdds:
     def __init__(self, mask: NDArray[np.float32], diameter: float) -> None:
         self._mask, self._diameter = mask, diameter
         self._variance_px = max(1.0, _VARIANCE_DIAMETERS * diameter)
-        self._correlation = both = MaskedCorrelation(mask, MIN_OVERLAP)
+        self._correlation = both = masked_correlation.MaskedCorrelation(mask, MIN_OVERLAP)
         distance = np.hypot(both.lags[:, None], both.lags)
         self._near_lags = (distance < _LAGS_DIAMETERS * diameter) & both.searched
         prior = -1.5 * np.log1p((distance / (_REACH_DIAMETERS * diameter)) ** 2)
@@ -109,7 +104,7 @@ class ShiftOdds:
     def spectra(self, image: NDArray[np.float32]) -> SpectraOfImage:
         """Return the spectra of an image (rows, cols), high-passed and smoothed within the mask."""
         mask, both = self._mask, self._correlation
-        passed = high_passed(image, mask, max(1.0, _HIGH_PASS_DIAMETERS * self._diameter))
+        passed = masked_correlation.high_passed(image, mask, max(1.0, _HIGH_PASS_DIAMETERS * self._diameter))
         inside = cv2.GaussianBlur(passed, (0, 0), _SMOOTHING_CELLS)
         inside = (inside - inside[mask > 0].mean()) * mask
         found = both.prepare(inside)
@@ -141,7 +136,7 @@ class ShiftOdds:
     def _independent_values(self, earlier: SpectraOfImage, later: SpectraOfImage) -> NDArray[np.float32]:
         """Return the number of independent values in the overlap at each shift."""
         cells_each = max(1.0, float((earlier.autocorrelation * later.autocorrelation).sum()))
-        sums = opposite(earlier.variance_sums) * later.variance_sums
+        sums = masked_correlation.opposite(earlier.variance_sums) * later.variance_sums
         met = np.maximum(self._correlation.correlate(earlier.variance, later.variance), 1e-12)
         overlap = self._correlation.overlap
         values: NDArray[np.float32] = np.minimum(np.maximum(sums, 0.0) / met, overlap) / np.float32(cells_each)

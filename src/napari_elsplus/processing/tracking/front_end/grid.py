@@ -90,9 +90,10 @@ class Grid:
         assert calibration.bundle is not None
         bundle = calibration.bundle
         binning = max(1, round(bundle.diameter_px / diameter_px))
-        spacing_px = _core_spacing_px(calibration.flat, bundle.diameter_px)
-        if spacing_px > MAX_SPACING_PX * binning:
-            binning = round(spacing_px / SPACING_PX)
+        if (flat := calibration.flat) is not None:
+            spacing_px = core_spacing_px(flat, disc(len(flat), _CORE_FIELD * bundle.diameter_px)) or 0.0
+            if spacing_px > MAX_SPACING_PX * binning:
+                binning = round(spacing_px / SPACING_PX)
         side = 4 * ceil((bundle.diameter_px / binning + 2) / 4)
         row, col = bundle.confocal_centre
         top, left = (floor(c - (side * binning - 1) / 2 + 0.5) for c in (row, col))
@@ -143,11 +144,6 @@ class Grid:
         last = np.where(lit, np.minimum(np.floor(col + half) + 1, right), 0)
         inside = np.clip(first, 1, side - 1), np.clip(last, 1, side - 1)
         return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
-
-
-def _core_spacing_px(flat: NDArray[np.float32] | None, diameter_px: float) -> float:
-    """Return the spacing of the cores in a flat field; 0 where it shows none."""
-    return 0.0 if flat is None else core_spacing_px(flat, disc(len(flat), _CORE_FIELD * diameter_px)) or 0.0
 
 
 def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -72,9 +72,9 @@ class MotionPrior(NamedTuple):
         return terms_of(self.covariance, self.line_periods_per_frame)
 
     @property
-    def spread(self) -> tuple[float, float]:
-        """Standard deviations of stretch and shear at a given shift."""
-        return (self.terms[0] ** -0.5,) * 2
+    def spread(self) -> float:
+        """Standard deviation of stretch, and of shear, at a given shift."""
+        return float(self.terms[0] ** -0.5)
 
     @classmethod
     def between(

@@ -172,10 +172,10 @@ class Motion:
         return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
 
     @property
-    def spread_of_stretch(self) -> tuple[float, float]:
-        """Standard deviations of stretch and shear between successive frames, given the shift."""
+    def spread_of_stretch(self) -> float:
+        """Standard deviation of stretch, and of shear, between successive frames, given the shift."""
         covariance = _of_random_walk(self.variance, self.spread**2, 1, None)
-        return (terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5,) * 2
+        return float(terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5)
 
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last registered frame to one so many frames later."""

@@ -52,14 +52,6 @@ def warp_between(before: Velocity, after: Velocity, displacement: Displacement, 
     return Warp(a, b, shear, -displacement.col - after.col / line_periods_per_frame * b)
 
 
-@compilable
-def displacement_under(warp: Warp, after: Velocity, line_periods_per_frame: float) -> Displacement:
-    """Return the displacement of the probe that a warp means: :meth:`RollingShutter.displacement`."""
-    return Displacement(
-        -warp.b * (1 + after.row / line_periods_per_frame), -warp.d - after.col / line_periods_per_frame * warp.b
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class RollingShutter:
     """The timing of the rows on one grid of pixels.
@@ -146,4 +138,5 @@ class RollingShutter:
         after : Velocity
             Of the later frame.
         """
-        return displacement_under(warp, after, self.line_periods_per_frame)
+        r = self.line_periods_per_frame
+        return Displacement(-warp.b * (1 + after.row / r), -warp.d - after.col / r * warp.b)

@@ -1,7 +1,7 @@
 """Pose graph: nodes along the track, edges between them, and the poses that agree best with all edges.
 
 The tracker registers frame after frame, and its errors add up. Nodes are taken from its track
-(``pose_graph.keyframes``) and registered with earlier ones that show the same place: within a segment those whose poses
+(``pose_graph.nodes``) and registered with earlier ones that show the same place: within a segment those whose poses
 lie near, in other segments those that their thumbnails recognise (``pose_graph.place_recognition``). Live, the graph
 grows in a thread of its own, in which the newest of many nodes are solved for; a finished track is solved by the same
 graph without that bound.
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.motion.pose import Pose
-    from napari_elsplus.processing.tracking.pose_graph.keyframes import Node
-    from napari_elsplus.processing.tracking.pose_graph.node_registration import NodeRegistration
+    from napari_elsplus.processing.tracking.pose_graph.nodes import Node, NodeRegistration
     from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
     from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame
 

@@ -11,9 +11,8 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.edge import Edge
-from napari_elsplus.processing.tracking.pose_graph.keyframes import KeyframeSelector
 from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares_positions
-from napari_elsplus.processing.tracking.pose_graph.node_registration import LINK_STRETCH_PX, edge_covariance
+from napari_elsplus.processing.tracking.pose_graph.nodes import LINK_STRETCH_PX, KeyframeSelector, edge_covariance
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:

@@ -276,7 +276,7 @@ class Registrar:
         earlier: PreparedFrame,
         later: PreparedFrame,
         warp: Warp,
-        spread: tuple[float, float],
+        spread: float,
         turn: tuple[float, float] = (0.0, inf),
         *,
         rim: bool = True,
@@ -289,15 +289,15 @@ class Registrar:
             Prepared frames.
         warp : Warp
             Registered warp.
-        spread : tuple of float
-            Standard deviations of stretch and shear about those of the warp.
+        spread : float
+            Standard deviation of stretch and shear about those of the warp.
         turn : tuple of float
             Rotation that is expected, radians, and its standard deviation.
         rim : bool
             Compare the rim as well: a test has more power with it, an estimate less bias without.
         """
-        pair, stiffness = self._halves(earlier, later, rim=rim), (spread[0] ** -2, spread[1] ** -2)
-        *step, sigma, values = _score_rotation(pair, self._column, warp, stiffness, turn, self._tools.work)
+        pair = self._halves(earlier, later, rim=rim)
+        *step, sigma, values = _score_rotation(pair, self._column, warp, spread**-2, turn, self._tools.work)
         return motion_models.Remainder(np.array(step), sigma, values) if values else None
 
     def _turned(

@@ -14,31 +14,7 @@ from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
-from napari_elsplus.processing.tracking.registration.lucas_kanade import (
-    PARAMETERS,
-    Iteration,
-    Workspace,
-    align,
-    solve,
-    tone_between,
-)
-from napari_elsplus.processing.tracking.registration.odds import (
-    CORRELATED_PX,
-    blocks,
-    in_pixels_of,
-    log_odds,
-    prior_terms,
-    weakest_direction,
-    write_prior,
-)
-from napari_elsplus.processing.tracking.registration.pyramid import (
-    HIGH_PASSED,
-    LEVELS,
-    Levels,
-    Pyramid,
-    fill_levels,
-    high_pass,
-)
+from napari_elsplus.processing.tracking.registration import lucas_kanade, odds, pyramid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,6 +22,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
     from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
+    from napari_elsplus.processing.tracking.registration.pyramid import Levels, Pyramid
 
     Array = NDArray[np.float64]
 
@@ -56,11 +34,11 @@ SHARP_PRIOR_PX: Final = 1.0
 """Standard deviation of the expected shift, pixels, below which registration begins at half resolution; chosen: half a
 pixel of that."""
 _STAGES: Final = (
-    (2, Iteration(1, 12, 0.2, False, 4)),
-    (1, Iteration(4, 10, 0.1, False, 8)),
-    (1, Iteration(2, 10, 0.1, False, 8)),
-    (0, Iteration(6, 4, 0.1, True, 16)),
-    (0, Iteration(2, 1, 0.0, True, 16)),
+    (2, lucas_kanade.Iteration(1, 12, 0.2, False, 4)),
+    (1, lucas_kanade.Iteration(4, 10, 0.1, False, 8)),
+    (1, lucas_kanade.Iteration(2, 10, 0.1, False, 8)),
+    (0, lucas_kanade.Iteration(6, 4, 0.1, True, 16)),
+    (0, lucas_kanade.Iteration(2, 1, 0.0, True, 16)),
 )
 """Down the pyramid: levels, and how each is registered; chosen, as docs/levers.md states. Every fourth row of half
 resolution suffices where structure is rich; elsewhere half resolution is repeated with every second."""
@@ -101,8 +79,8 @@ class Tools(NamedTuple):
         half, quarter = grid.binned(2), grid.binned(4)
         lit = grid.spans(INNER_FIELD), half.spans(), quarter.spans(), grid.spans()
         middles = tuple(one.centre[0] for one in (grid, half, quarter, grid))
-        scratch = blocks(grid.side), Workspace.of(grid.side)
-        return cls(lit, middles, FIELD * grid.diameter, Pyramid.of(grid, field), *scratch)
+        scratch = odds.blocks(grid.side), lucas_kanade.Workspace.of(grid.side)
+        return cls(lit, middles, FIELD * grid.diameter, pyramid.Pyramid.of(grid, field), *scratch)
 
 
 @lean_kernel
@@ -147,37 +125,37 @@ def register(
     information : numpy.ndarray
         (4, 4) float64, filled: inverse covariance of a, b, s, d.
     """
-    fill_levels(earlier, tools.pyramid)
-    fill_levels(later, tools.pyramid)
+    pyramid.fill_levels(earlier, tools.pyramid)
+    pyramid.fill_levels(later, tools.pyramid)
     terms, expected = terms_of(prior.covariance, prior.line_periods_per_frame), expected_warp(prior)
     warp = expected if as_expected else start
     begins_at_half = as_expected and prior.covariance[1][1] < SHARP_PRIOR_PX**2
     first, end = _TO_HALF
     stages = first + 1 if begins_at_half else first, end
     correlation, count, warp = descend(earlier, later, stages, True, expected, terms, warp, information, tools)
-    odds = -np.inf
-    if correlation > 0 and 2 * weakest_direction(information)[0] < SHARP_PX:
+    nats = -np.inf
+    if correlation > 0 and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
         correlation, count, warp = descend(earlier, later, _SHARP, True, expected, terms, warp, information, tools)
-        odds = _odds_against_unrelated(correlation, count)
+        nats = _odds_against_unrelated(correlation, count)
     elif correlation > 0:
         # noise is more than that: all that is lit, without what is smooth
-        high_pass(earlier, tools.pyramid)
-        high_pass(later, tools.pyramid)
+        pyramid.high_pass(earlier, tools.pyramid)
+        pyramid.high_pass(later, tools.pyramid)
         correlation, count, warp = descend(earlier, later, _UNSHARP, False, expected, terms, warp, information, tools)
         if correlation > min_correlation:
             pair = pair_of(1, earlier, later, tools)
-            odds = log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
-            odds = min(odds, _odds_against_unrelated(correlation, count))
+            nats = odds.log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
+            nats = min(nats, _odds_against_unrelated(correlation, count))
     overlap = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
     row, col, variance = later_velocity(prior, warp, information, tools.work)
-    return warp.a, warp.b, warp.s, warp.d, correlation, overlap, odds, row, col, variance
+    return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance
 
 
 @lean_kernel
 def _odds_against_unrelated(correlation: float, count: float) -> float:
     """Return the log odds of frames of that correlation in `count` pixels against unrelated ones, nats; at most 700."""
-    return float(min(-0.5 * count / CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0))
+    return float(min(-0.5 * count / odds.CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0))
 
 
 @lean_kernel
@@ -198,14 +176,14 @@ def later_velocity(prior: MotionPrior, warp: Warp, information: Array, work: Wor
         Scratch.
     """
     velocity, variance, of_stretch, of_shift = velocity_given(prior, warp)
-    along, largest = work.right[:PARAMETERS], 0.0
+    along, largest = work.right[: lucas_kanade.PARAMETERS], 0.0
     for k in (0, 2):
         along[:] = 0.0
         along[k], along[k + 1] = of_stretch, of_shift
-        for i in range(PARAMETERS):
-            for j in range(PARAMETERS):
+        for i in range(lucas_kanade.PARAMETERS):
+            for j in range(lucas_kanade.PARAMETERS):
                 work.normal[i, j] = information[i, j]
-        if not solve(work.normal, along, 0, work.schur):
+        if not lucas_kanade.solve(work.normal, along, 0, work.schur):
             return velocity.row, velocity.col, np.inf
         largest = max(largest, of_stretch * along[k] + of_shift * along[k + 1])
     return velocity.row, velocity.col, variance + largest
@@ -247,20 +225,22 @@ def descend(
         The result, pixels of full resolution.
     """
     work, stiffness = tools.work, tools.work.stiffness
-    correlation, count, begun = 0.0, 0.0, LEVELS
+    correlation, count, begun = 0.0, 0.0, pyramid.LEVELS
     for stage in range(*stages):
         level, how = _STAGES[stage]
         px = 2.0**level
-        write_prior(px, terms, prior_terms(warp, expected, terms)[0], stiffness)
-        centre, scaled = in_pixels_of(px, expected), in_pixels_of(px, warp)
-        pair = pair_of(level if sharp or level else HIGH_PASSED, earlier, later, tools)
-        if begun == LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
-            work.tone[0], work.tone[1] = tone_between(pair, scaled, how.tone_step)
+        odds.write_prior(px, terms, odds.prior_terms(warp, expected, terms)[0], stiffness)
+        centre, scaled = odds.in_pixels_of(px, expected), odds.in_pixels_of(px, warp)
+        pair = pair_of(level if sharp or level else pyramid.HIGH_PASSED, earlier, later, tools)
+        if begun == pyramid.LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
+            work.tone[0], work.tone[1] = lucas_kanade.tone_between(pair, scaled, how.tone_step)
         begun = level
-        correlated_px = CORRELATED_PX / how.row_step / 4**level
-        correlation, count, scaled = align(pair, how, centre, stiffness, correlated_px, scaled, information, work)
+        correlated_px = odds.CORRELATED_PX / how.row_step / 4**level
+        correlation, count, scaled = lucas_kanade.align(
+            pair, how, centre, stiffness, correlated_px, scaled, information, work
+        )
         if correlation == 0.0:
             break
         count *= how.row_step * 4.0**level
-        warp = in_pixels_of(1 / px, scaled)
+        warp = odds.in_pixels_of(1 / px, scaled)
     return correlation, count, warp

@@ -15,13 +15,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import bilinear, row_shift
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import (
-    TONE,
-    Iteration,
-    add_row,
-    complete,
-    tone_between,
-)
+from napari_elsplus.processing.tracking.registration import lucas_kanade
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, in_pixels_of, prior_terms, write_prior
 
 if TYPE_CHECKING:
@@ -35,12 +29,12 @@ if TYPE_CHECKING:
 EXACT_PX: Final = 0.1
 """Change of a shift by uneven motion, pixels, up to which the warp of even motion is kept; chosen: it was found at full
 resolution, the change at half of it."""
-_STEPS: Final = Iteration(1, 6, 0.02, False, 4)
+_STEPS: Final = lucas_kanade.Iteration(1, 6, 0.02, False, 4)
 """How frames are registered at half resolution."""
-_UNKNOWNS: Final = TONE + 6
+_UNKNOWNS: Final = lucas_kanade.TONE + 6
 """Gain and offset; then the coefficients of a row's shift by its distance from the middle: a, b and J of rows, s, d and
 J of columns."""
-_OF_WARP, _OF_JERK = TONE + np.array([0, 1, 3, 4]), TONE + np.array([2, 5])
+_OF_WARP, _OF_JERK = lucas_kanade.TONE + np.array([0, 1, 3, 4]), lucas_kanade.TONE + np.array([2, 5])
 
 
 def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma: float) -> tuple[Warp, Array] | None:
@@ -72,7 +66,7 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
     prior[_OF_JERK, _OF_JERK] = 4 / jerk_sigma**2
     values, mean, right = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS)
     values[_OF_WARP], mean[_OF_WARP] = start, expected
-    values[:TONE] = mean[:TONE] = tone_between(pair, start, _STEPS.tone_step)
+    values[: lucas_kanade.TONE] = mean[: lucas_kanade.TONE] = lucas_kanade.tone_between(pair, start, _STEPS.tone_step)
     square, sums = 2 / motion.line_periods_per_frame**2, np.empty(5)
     for _ in range(_STEPS.steps):
         noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right, sums)
@@ -84,7 +78,7 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
             return None
         if not abs(step[_OF_WARP]).max() < len(pair.template) / 4:
             return None
-        step[:TONE] *= -1  # residuals grow with the shift and lessen with gain and offset
+        step[: lucas_kanade.TONE] *= -1  # residuals grow with the shift and lessen with gain and offset
         values -= step
         if hypot(*step[_OF_WARP[1::2]]) < _STEPS.tolerance_px:
             break
@@ -119,8 +113,8 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         if end <= begin:
             continue
         corners, weights = bilinear(pair.image, above, down, begin + whole, across, end - begin)
-        add_row(
+        lucas_kanade.add_row(
             pair.template, row, (begin, end), corners, weights, values, (y, 1.0, bend), None, normal, right, sums
         )  # fmt: skip
-    complete(normal, right, values[0])
+    lucas_kanade.complete(normal, right, values[0])
     return sums[4] / sums[3] if sums[3] > 0 else 0.0

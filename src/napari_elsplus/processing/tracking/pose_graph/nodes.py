@@ -1,9 +1,9 @@
-"""Registration of two nodes of the pose graph, beside each other or at a place that was recognised."""
+"""Nodes of the pose graph: selected from the track, and registered beside each other or at a recognised place."""
 
 from __future__ import annotations
 
-from math import hypot, isfinite
-from typing import TYPE_CHECKING, Final
+from math import hypot, inf, isfinite, isnan
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -15,14 +15,20 @@ from napari_elsplus.processing.tracking.registration.pair_registration import Tu
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.edge import Edge
     from napari_elsplus.processing.tracking.registration.pair_registration import (
         PairRegistration,
         PreparedFrame,
         Registrar,
+        TrackedPair,
     )
 
+KEY_SPACING: Final = 0.25
+"""Path between two nodes, bundle diameters; chosen: neighbours share 0.7 of the field."""
+_DRIFT: Final = 0.001
+"""Systematic error of registrations, fraction of the path; derived: that of line periods per frame off by 3 %."""
 LINK_STRETCH_PX: Final = 0.2
 """Standard deviation of the velocity of a later frame that a tracker's registration leaves, pixels per frame period."""
 MIN_JOIN_OVERLAP: Final = 0.2
@@ -39,6 +45,103 @@ _SEARCHED_PX: Final = 16.0
 """Scale of the prior about the shift of two thumbnails, grid pixels: two of their cells."""
 _FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, grid pixels: what the core pattern leaves."""
+
+
+class Node(NamedTuple):
+    """A frame in the pose graph.
+
+    Parameters
+    ----------
+    frame : int
+        Its number.
+    pose : Pose
+        As tracked.
+    gone_px : float
+        Path since the node before, pixels of the tracking grid.
+    covariance : numpy.ndarray
+        (2, 2) of its displacement from the node before, pixels squared.
+    turn_sigma : float
+        Standard deviation of its angle against the node before, radians; 1 where no rotation was modelled.
+    upright : tuple of int, Pose and float, optional
+        The tracked frame before, its pose, and the turn since, radians, if rotation is modelled from this node on: up
+        to there no angle is known.
+    """
+
+    frame: int
+    pose: Pose
+    gone_px: float
+    covariance: NDArray[np.float64]
+    turn_sigma: float
+    upright: tuple[int, Pose, float] | None = None
+
+
+class KeyframeSelector:
+    """Selects nodes a quarter of a bundle diameter apart.
+
+    Parameters
+    ----------
+    grid : Grid
+        Tracking grid.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._spacing_px = KEY_SPACING * grid.diameter
+        self._shutter = grid.shutter
+        self._stretch = LINK_STRETCH_PX / grid.shutter.line_periods_per_frame
+        self._before: tuple[int, Pose] | None = None
+        self._newest: TrackedPair | None = None
+        self._node: TrackedPair | None = None
+        self._gone = 0.0
+        self._since: list[PairRegistration] = []
+
+    def add(self, frame: int, pose: Pose, link: TrackedPair | None) -> list[Node]:
+        """Return the nodes that a tracked frame adds: none, itself, or with it the first frame of its segment.
+
+        Parameters
+        ----------
+        frame : int
+            Its number.
+        pose : Pose
+            As tracked.
+        link : TrackedPair, optional
+            Registration of which the pose follows, frames by the tracker's count.
+        """
+        known, self._before = self._before, (frame, pose)
+        if known is None or known[1].segment != pose.segment:
+            self._newest = self._node = link
+            self._gone, self._since = 0.0, []
+            # the velocity of a first frame without a registration follows from the next one
+            return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0)]
+        nodes, before, newest = [], known[1], self._newest
+        self._gone += abs(pose.at - before.at)
+        if link is not None and isnan(before.score):
+            velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
+            nodes.append(Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0))
+        self._newest, begins_to_turn = link, False
+        if link is not None and newest is not None:
+            if link.earlier != newest.earlier:  # frames are registered to a newer one now, which was registered by that
+                self._since.append(newest.registration)
+            begins_to_turn = link.registration.turn_sigma < newest.registration.turn_sigma == inf
+        if self._gone < self._spacing_px and not begins_to_turn:
+            return nodes
+        node = Node(frame, pose, self._gone, *self._spread())
+        if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
+            turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
+            node = node._replace(turn_sigma=1.0, upright=(*known, turn))
+        self._node, self._gone, self._since = link, 0.0, []
+        return [*nodes, node]
+
+    def _spread(self) -> tuple[NDArray[np.float64], float]:
+        """Return the covariance of the newest frame's displacement from the node before, and its angle's deviation."""
+        links = [] if self._newest is None else [*self._since, self._newest.registration]
+        if not links:
+            return np.eye(2), 1.0
+        if self._node is not None:  # both are registered to the same frame, or the later one to the node
+            node = self._node.registration
+            links = [*links, node] if links[0] is not node else links[1:] or links
+        covariance = np.sum([edge_covariance(link, self._stretch) for link in links], axis=0)
+        covariance += (_DRIFT * self._gone) ** 2 * np.eye(2)
+        return covariance, min(1.0, hypot(*(link.turn_sigma for link in links)))
 
 
 class NodeRegistration:
