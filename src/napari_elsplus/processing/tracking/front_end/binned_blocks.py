@@ -78,10 +78,8 @@ class _Camera:
         if self._exact and self._exact.width == self._binning * _bits(self._kind):
             return self._parts(self._builder.bitcast(pixels, self._vectors.of(self._exact)))
         every = range(0, self._binning * BLOCK, self._binning)
-        return [
-            self._summand(self._vectors.chosen(pixels, pixels, [first + k for k in every]))
-            for first in range(self._binning)
-        ]
+        chosen = [self._vectors.chosen(pixels, pixels, [first + k for k in every]) for first in range(self._binning)]
+        return [self._builder.zext(one, self._vectors.of(self._exact)) for one in chosen] if self._exact else chosen
 
     def _parts(self, together: Any) -> list[Any]:
         """Return the first, second, ... of the pixels that are one integer together, its lowest bits first."""
@@ -91,10 +89,6 @@ class _Camera:
             self._builder.lshr(together, ir.Constant(numbers, [k * width] * BLOCK)) for k in range(self._binning)
         )
         return [self._builder.and_(part, mask) for part in shifted]
-
-    def _summand(self, pixels: Any) -> Any:
-        """Return pixels as what their sums are."""
-        return self._builder.zext(pixels, self._vectors.of(self._exact)) if self._exact else pixels
 
 
 def _bits(kind: Any) -> int:

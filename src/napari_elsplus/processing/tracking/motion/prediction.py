@@ -184,12 +184,9 @@ class Motion:
         return Displacement(0.5 * now.row + (frames - 0.5) * later.row, 0.5 * now.col + (frames - 0.5) * later.col)
 
     def prior(
-        self,
-        displacement: Displacement,
-        frames: int,
-        before: tuple[Velocity, float] | None = None,
+        self, displacement: Displacement, frames: int, before: tuple[Velocity, float] | None = None,
         min_share: float = MIN_SHARE,
-    ) -> MotionPrior:
+    ) -> MotionPrior:  # fmt: skip
         """Return the prior of the motion from an earlier frame to one so many frames after the last registered one.
 
         Parameters

@@ -103,11 +103,7 @@ class Corrections:
         return [pose.placed(complex(y, x), pose.angle + turned, into) for pose, into, y, x, turned in places]
 
     def of_frames(
-        self,
-        frame: NDArray[np.int64],
-        segment: NDArray[np.int64],
-        row: NDArray[np.float64],
-        col: NDArray[np.float64],
+        self, frame: NDArray[np.int64], segment: NDArray[np.int64], row: NDArray[np.float64], col: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return segments, rows and columns at which frames belong, and by how much each is turned; NaN stays NaN.
 

@@ -79,8 +79,9 @@ class MaskedCorrelation:
         self.searched = self.overlap > min_overlap * self.overlap[0, 0]
         self.lags = np.fft.fftfreq(self._size, 1 / self._size)
 
-    def prepare(self, inside: NDArray[np.float32]) -> CoarseImage:
-        """Return what :meth:`coefficients` needs of an image (n, n) that is zero outside of the mask."""
+    def prepare(self, image: NDArray[np.float32]) -> CoarseImage:
+        """Return what :meth:`coefficients` needs of an image (n, n) without what is smooth in it."""
+        inside = image * self._mask
         squares = self.correlate(self.mask_spectrum, self.spectrum(inside * inside))
         np.copyto(squares, np.inf, where=~self.searched | (squares <= 0))
         return CoarseImage(self.spectrum(inside), np.reciprocal(np.sqrt(squares), dtype=np.float32))
@@ -148,10 +149,6 @@ class ShiftSearch(MaskedCorrelation):
     def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
         super().__init__(lit_pixels(first, last).astype(np.float32))
         self._shifts = (self.lags * scale).astype(np.float32)
-
-    def of_frame(self, image: NDArray[np.float32]) -> CoarseImage:
-        """Return what the search needs of a coarse image (n, n) without what is smooth in it."""
-        return self.prepare(image * self._mask)
 
     def best(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> tuple[float, float]:
         """Return the most likely shift (b, d), in pixels of full resolution.

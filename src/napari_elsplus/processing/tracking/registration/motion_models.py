@@ -84,12 +84,9 @@ def turned_by(angle: float) -> Matrix:
 
 
 def upright(
-    image: NDArray[np.float32],
-    out: NDArray[np.float32],
-    centre: tuple[float, float],
-    matrix: Matrix,
+    image: NDArray[np.float32], out: NDArray[np.float32], centre: tuple[float, float], matrix: Matrix,
     shift: tuple[float, float] | Matrix = (0.0, 0.0),
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]:  # fmt: skip
     """Move every point of an image to `matrix` times where it was, about the bundle's centre; beyond it lies zero.
 
     Parameters

@@ -100,7 +100,12 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
     all_tt, all_ti, all_ti2 = sums[1].sum(), sums[3].sum(), sums[5].sum()
     if not all_tt > 0:
         return 0.0
-    gain, other_gain, floor, nats = all_ti / all_tt, all_ti2 / all_tt, noise_floor(sums), 0.0
+    brightest = 0.0
+    for block in range(sums.shape[1]):
+        if sums[0, block] > BLOCK_PX:
+            brightest = max(brightest, sums[1, block] / sums[0, block])
+    floor = _FLOOR_DN2 + _FLOOR_SHARE * brightest
+    gain, other_gain, nats = all_ti / all_tt, all_ti2 / all_tt, 0.0
     for block in range(sums.shape[1]):
         n, tt, ii, ti = sums[0, block], sums[1, block], sums[2, block], sums[3, block]
         if ti > 0:
@@ -112,16 +117,6 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
             more -= min(max(more, -static), static)
             nats += 0.5 * shared * n / (CORRELATED_PX / 4) * more / (left + static)
     return float(nats)
-
-
-@lean_kernel
-def noise_floor(sums: Array) -> float:
-    """Return the variance that is no evidence, squared grey levels, from sums of :func:`log_ratio`."""
-    brightest = 0.0
-    for block in range(sums.shape[1]):
-        if sums[0, block] > BLOCK_PX:
-            brightest = max(brightest, sums[1, block] / sums[0, block])
-    return _FLOOR_DN2 + _FLOOR_SHARE * brightest
 
 
 @lean_kernel
@@ -256,10 +251,5 @@ def weakest_direction(information: Array) -> tuple[float, float, float, float, f
     angle = 0.5 * np.arctan2(2 * both, rows - cols)  # of the best constrained direction
     across, along = -np.sin(angle), np.cos(angle)
     known = across * across * rows + 2 * across * along * both + along * along * cols
-    return (
-        1 / np.sqrt(known) if known > 0 else np.inf,
-        across,
-        along,
-        a_row * across + a_col * along,
-        s_row * across + s_col * along,
-    )
+    sigma = 1 / np.sqrt(known) if known > 0 else np.inf
+    return sigma, across, along, a_row * across + a_col * along, s_row * across + s_col * along

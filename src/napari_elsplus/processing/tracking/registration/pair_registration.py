@@ -204,8 +204,7 @@ class Registrar:
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
         half, coarsest_px = grid.binned(2), 2 ** (LEVELS - 1)
-        self._lit, self._turning = half.spans(), half.spans(TURNING_FIELD)
-        self._middle, self._column = half.centre
+        self._turning, self._column = half.spans(TURNING_FIELD), half.centre[1]
         self._everywhere = ShiftSearch(*grid.binned(coarsest_px).spans(), coarsest_px)
         self._tools = Tools.of(grid, lit)
         self._scratch = self.view()
@@ -268,19 +267,13 @@ class Registrar:
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
-                view.coarse = self._everywhere.of_frame(view.levels[LEVELS - 1])
+                view.coarse = self._everywhere.prepare(view.levels[LEVELS - 1])
         return motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
 
     def remainder(
-        self,
-        earlier: PreparedFrame,
-        later: PreparedFrame,
-        warp: Warp,
-        spread: float,
-        turn: tuple[float, float] = (0.0, inf),
-        *,
-        rim: bool = True,
-    ) -> motion_models.Remainder | None:
+        self, earlier: PreparedFrame, later: PreparedFrame, warp: Warp, spread: float,
+        turn: tuple[float, float] = (0.0, inf), *, rim: bool = True,
+    ) -> motion_models.Remainder | None:  # fmt: skip
         """Estimate what a rotation would add to a warp; None where the frames constrain nothing.
 
         Parameters
@@ -369,5 +362,5 @@ class Registrar:
 
     def _halves(self, earlier: PreparedFrame, later: PreparedFrame, *, rim: bool = True) -> FramePair:
         """Return two frames at half resolution, with or without the rim."""
-        first, last = self._lit if rim else self._turning
-        return FramePair(earlier.levels[1], later.levels[1], first, last, self._middle)
+        first, last = self._tools.lit[1] if rim else self._turning
+        return FramePair(earlier.levels[1], later.levels[1], first, last, self._tools.middles[1])
