@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.diagnosis.finding import ok, warning
+from napari_elsplus.diagnosis.finding import Finding, ok, warning
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.rig_files import read_rig, rig_files, rig_folder
 from napari_elsplus.hardware.u3v.discovery import (
@@ -23,7 +23,6 @@ from napari_elsplus.hardware.u3v.discovery import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from napari_elsplus.diagnosis.finding import Finding
 
 LIBUSB_REMEDIES: Final = {
     "linux": "apt-get install libusb-1.0-0",

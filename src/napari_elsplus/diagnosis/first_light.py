@@ -27,7 +27,7 @@ from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
 from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, rig_settings
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v import flea3
-from napari_elsplus.hardware.u3v.camera import U3vCamera
+from napari_elsplus.hardware.u3v.camera import Features, U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
 from napari_elsplus.hardware.u3v.flea3 import BASE
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from usb.core import Device
 
     from napari_elsplus.hardware.rig import Rig
-    from napari_elsplus.hardware.u3v.camera import Features
 
 MODULE: Final = "napari_elsplus.diagnosis.first_light"
 """This module's name; ``__name__`` is another where it runs as a program."""

@@ -13,7 +13,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.errors import translate_daq_errors
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.daq.session import open_session
-from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform
+from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, GalvoLimits, Waveform
 from napari_elsplus.instrument.optics import PRESETS
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.daq.output import CardSettings
     from napari_elsplus.hardware.rig import Rig
-    from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 DRY_RUN_S: Final = 1.0
 """Seconds in which ramps are counted; chosen: 240 of them."""

@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.acquisition.calibrating.simulated import place_target
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
-from napari_elsplus.hardware.protocols import HasClock
+from napari_elsplus.hardware.protocols import FrameInfo, HasClock
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform, els_waveform
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.hardware.protocols import FrameInfo
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
 

@@ -10,13 +10,12 @@ from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from napari_elsplus.diagnosis.finding import ok, warning
+from napari_elsplus.diagnosis.finding import Finding, ok, warning
 from napari_elsplus.instrument.optics import PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from napari_elsplus.diagnosis.finding import Finding
 
 SCREEN_TIMEOUT_S = 60.0
 """Seconds; chosen for a slow remote screen."""

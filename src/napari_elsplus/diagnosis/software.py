@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 from packaging.requirements import Requirement
 
 from napari_elsplus import __version__
-from napari_elsplus.diagnosis.finding import ok, problem, warning
+from napari_elsplus.diagnosis.finding import Finding, ok, problem, warning
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from napari_elsplus.diagnosis.finding import Finding
 
 NAMED_FIRST = ("napari", "numpy", "scikit-image", "opencv-contrib-python-headless", "numba", "pyusb", "nidaqmx")
 """Packages whose versions are reported."""

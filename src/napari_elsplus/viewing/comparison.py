@@ -12,10 +12,10 @@ from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, cont
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
-from napari_elsplus.processing.images.sectioning import Mode, disc
+from napari_elsplus.processing.images.sectioning import Frames, Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.script import recording_script
-from napari_elsplus.viewing.stack import um_per_px_of
+from napari_elsplus.viewing.stack import Stack, um_per_px_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.viewing.stack import Stack
 
     Image = NDArray[np.float32]
 

@@ -15,7 +15,7 @@ from napari_elsplus.io import open_recording
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.lazy import image_planes
+from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.viewing.lazy import LazyPlanes
 
     Layer = tuple[Any, dict[str, Any], str]
 

@@ -21,7 +21,7 @@ from napari_elsplus.processing.calibration.bundle.cancellation import AlignmentE
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.script import recording_script
-from napari_elsplus.viewing.stack import um_per_px_of
+from napari_elsplus.viewing.stack import Stack, um_per_px_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.progress import ProgressWrapper
-    from napari_elsplus.viewing.stack import Stack
 
     Box = tuple[float, float, float, float]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from napari_elsplus import __version__
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.io import existing_beside, read_depths_um
+from napari_elsplus.io import Recording, existing_beside, read_depths_um
 from napari_elsplus.processing.images.sectioning import side_px
-from napari_elsplus.viewing.lazy import raw_planes
+from napari_elsplus.viewing.lazy import LazyPlanes, raw_planes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import Recording
-    from napari_elsplus.viewing.lazy import LazyPlanes
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from napari_elsplus.simulation.truth import motion
 from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.progress import Progress, without_display
 from napari_elsplus.workflows.sectioning import RawPairs, SectionedImages
 from napari_elsplus.workflows.tracking import Pipeline
 
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.workflows.progress import Progress
 
 FRAMES: Final = 120
 SPEED_UM_S: Final = 6000.0

@@ -17,8 +17,8 @@ from napari_elsplus.processing.calibration.bundle.agreement import grey_level_no
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.row_reference import shows_row_noise
-from napari_elsplus.processing.images.sectioning import Mode, Sectioner
-from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner
+from napari_elsplus.workflows.progress import Progress, without_display
 from napari_elsplus.workflows.two_threads import ComputedAhead
 
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.workflows.progress import Progress
 
 MIN_FLAT: Final = 0.1
 """Fraction of the flat field's mean below which pixels are set to 0: dividing would only amplify noise. Chosen; between

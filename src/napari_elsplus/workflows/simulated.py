@@ -33,7 +33,7 @@ from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import Scene, picture, scene
 from napari_elsplus.simulation.specimen.trajectories import Recorded, Trajectory, trajectory
-from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.progress import Progress, without_display
 
 if TYPE_CHECKING:
     import os
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.workflows.progress import Progress
 
 
 @dataclass(frozen=True)

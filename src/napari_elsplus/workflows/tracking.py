@@ -10,9 +10,9 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.deformation import estimate_deformation
-from napari_elsplus.processing.mosaicing.line_light import estimate_line_light
+from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.front_end.grid import Grid

@@ -11,13 +11,12 @@ from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.virtual.card.process import RemoteCard
 from napari_elsplus.hardware.virtual.galvo import STEP_S, GalvoModel
-from napari_elsplus.hardware.virtual.timeline import mean_volts, volts_at
+from napari_elsplus.hardware.virtual.timeline import Program, mean_volts, volts_at
 from napari_elsplus.instrument.optics import HALO_UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.hardware.virtual.timeline import Program
     from napari_elsplus.simulation.model.instrument import Instrument
 
     Series = NDArray[np.float64]

@@ -6,13 +6,12 @@ import sys
 from typing import TYPE_CHECKING
 
 from napari_elsplus.diagnosis.rehearsal.faults import camera_and_disk, card, commands, processes
-from napari_elsplus.diagnosis.rehearsal.registry import FAULTS
+from napari_elsplus.diagnosis.rehearsal.registry import FAULTS, Fault
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from napari_elsplus.diagnosis.rehearsal.registry import Fault
     from napari_elsplus.diagnosis.rehearsal.row import Row
 
 REGISTERING = (card, camera_and_disk, processes, commands)

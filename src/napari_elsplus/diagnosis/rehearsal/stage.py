@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, Final, Self, cast
 import numpy as np
 import psutil
 
-from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.diagnosis.rehearsal.card_log import CardLog
-from napari_elsplus.diagnosis.rehearsal.messages import ADDRESS
+from napari_elsplus.diagnosis.rehearsal.messages import ADDRESS, Exposures
 from napari_elsplus.errors import DeviceError, ElsPlusError
 from napari_elsplus.hardware.virtual.galvo import GalvoModel
 from napari_elsplus.io import open_recording
@@ -33,9 +33,7 @@ from napari_elsplus.simulation.truth import true_calibration
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.link.messages import Channel
-    from napari_elsplus.diagnosis.rehearsal.messages import Exposures
     from napari_elsplus.instrument.calibration import Calibration
 
 OFFSET_UM: Final = -29.0

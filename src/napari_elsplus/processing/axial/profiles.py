@@ -14,13 +14,12 @@ from napari_elsplus.processing.axial.axial_response import SystematicUncertainty
 from napari_elsplus.processing.axial.black_level import DarkLevels, DarkPixels
 from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.calibration.frame_regions import saturated_share
-from napari_elsplus.processing.images.sectioning import Sectioner
+from napari_elsplus.processing.images.sectioning import Frames, Sectioner
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
 
     Curve = NDArray[np.float64]

@@ -31,7 +31,7 @@ from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, vis
 from napari_elsplus.processing.calibration.line.clipping import IN_PLACE, MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
 from napari_elsplus.processing.images.row_reference import RowReference
-from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.processing.images.sectioning import Frames, Sectioner, disc
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.line.location import Line
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
-    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
 
     Image = NDArray[np.float32]

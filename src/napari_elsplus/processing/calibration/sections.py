@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.calibration import (
     BundleSection,
+    Calibration,
     GalvoSection,
     OffsetSection,
     QualitySection,
@@ -21,12 +22,13 @@ from napari_elsplus.processing.calibration.bundle.gain_map import measure_gain_m
 from napari_elsplus.processing.calibration.bundle.laser_gain import (
     LAMP_GAIN,
     MAX_DISAGREEMENT,
+    SweptLight,
     laser_gain,
     swept_flat_field,
 )
-from napari_elsplus.processing.calibration.bundle.pair import MAX_STRUCTURE, structure_of_light
-from napari_elsplus.processing.calibration.measurements import measure_flat_field
-from napari_elsplus.processing.calibration.slit_offset import offset_at
+from napari_elsplus.processing.calibration.bundle.pair import MAX_STRUCTURE, BundlePair, structure_of_light
+from napari_elsplus.processing.calibration.measurements import Background, measure_flat_field
+from napari_elsplus.processing.calibration.slit_offset import SlitOffset, offset_at
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import crop_to_frame, within_frame
 from napari_elsplus.processing.images.sectioning import disc
@@ -34,14 +36,9 @@ from napari_elsplus.processing.images.sectioning import disc
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.calibration.bundle.laser_gain import SweptLight
-    from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
-    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
     Image = NDArray[np.float32]
 

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.calibration import utc_now
+from napari_elsplus.instrument.calibration import Calibration, utc_now
 from napari_elsplus.instrument.staleness import changed_setting, stale_sections
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.scan.learned_ramp import Scans
     from napari_elsplus.processing.images.sectioning import Frames

@@ -9,6 +9,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.calibration import file_options, sections, summaries
 from napari_elsplus.processing.calibration.file_options import added_steps
 from napari_elsplus.processing.calibration.measurements import (
+    Background,
     map_galvo,
     measure_background,
     measure_flat_field,
@@ -17,10 +18,11 @@ from napari_elsplus.processing.calibration.measurements import (
 from napari_elsplus.processing.calibration.scan.measure import measure_scan
 from napari_elsplus.processing.calibration.slit_offset import (
     MAX_OFFSET_DIFFERENCE_ROWS,
+    SlitOffset,
     measure_offset,
     offset_at,
 )
-from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, Target
+from napari_elsplus.processing.calibration.step import REGISTERED, CalibrationStep, Capture, StepInputs, Target
 from napari_elsplus.processing.calibration.step import register_step as register_step
 
 if TYPE_CHECKING:
@@ -32,10 +34,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.bundle.pair import BundlePair
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.galvo import GalvoMap
-    from napari_elsplus.processing.calibration.measurements import Background
     from napari_elsplus.processing.calibration.scan.lag import ScanLag
-    from napari_elsplus.processing.calibration.slit_offset import SlitOffset
-    from napari_elsplus.processing.calibration.step import StepInputs
 
 
 @cache

@@ -13,13 +13,12 @@ import numpy as np
 from scipy import ndimage
 
 from napari_elsplus.errors import CalibrationError, InputError
-from napari_elsplus.processing.images.sectioning import Mode, disc
+from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Sectioner
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]

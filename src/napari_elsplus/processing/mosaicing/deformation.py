@@ -22,8 +22,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
-from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX
 
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas
-    from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.pose import Pose
 
     Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from math import hypot
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -10,7 +10,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
-    from contextlib import AbstractContextManager
 
     from numpy.typing import NDArray
 

@@ -18,7 +18,7 @@ import numpy as np
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
-    from napari_elsplus.processing.tracking.motion.pose import Pose
 
     Floats = NDArray[np.float64]
 

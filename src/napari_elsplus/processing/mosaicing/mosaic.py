@@ -17,7 +17,7 @@ from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.mosaicing.footprint import Arguments
-    from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.pose import Pose
 
 _RAMP: Final = 0.25

@@ -9,6 +9,7 @@ import numpy as np
 from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.mosaicing.tiles import (
     TILE_PX,
+    Canvas,
     HeapTiles,
     Rectangle,
     TileStore,
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 
 class Pyramid:

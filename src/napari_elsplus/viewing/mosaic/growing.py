@@ -8,14 +8,13 @@ import numpy as np
 
 from napari_elsplus.processing.mosaicing.pyramid import Pyramid
 from napari_elsplus.processing.mosaicing.sheet import Sheet
-from napari_elsplus.processing.mosaicing.tiles import Rectangle
+from napari_elsplus.processing.mosaicing.tiles import Canvas, Rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.mosaicing.tiles import Canvas
 
 LEVELS: Final = 8
 """Levels of the pyramid, each half of the one before: 512 pixels become 65,000."""

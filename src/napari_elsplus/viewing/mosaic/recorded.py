@@ -11,11 +11,11 @@ import numpy as np
 from napari_elsplus.io import TrackTable
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.modes import elsa_pair
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
@@ -24,18 +24,15 @@ from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED
+from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.progress import ProgressWrapper
-    from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-    from napari_elsplus.workflows.tracking import Pipeline
 
 
 class StackMosaics:

@@ -18,12 +18,11 @@ from napari_elsplus.workflows.batch.cluster import batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_items, open_output
 from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, run_stage
-from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.workflows.progress import Progress, without_display
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from napari_elsplus.workflows.progress import Progress
 
 COLUMNS: Final = (
     "recording", "name", "calibration", "images", "frames", "tracked", "segments", "path_um", "area_um2", "contrast",

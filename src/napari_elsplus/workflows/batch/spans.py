@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.io import put_in_place, replacing, write_json
 from napari_elsplus.io.atomic import remove_unfinished
-from napari_elsplus.workflows.batch.job import RECORDS
+from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, Values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
     from napari_elsplus.workflows.sectioning import SectionedImages
 
 SPAN_IMAGES: Final = 600

@@ -7,7 +7,7 @@ cannot be read, or lacks a calibration, is returned as an error, for its row of 
 from __future__ import annotations
 
 from functools import wraps
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, ParamSpec
 
 from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.io import open_recording
@@ -16,7 +16,6 @@ from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from typing import ParamSpec
 
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
-from napari_elsplus.simulation.model.axial_response import axial_response
+from napari_elsplus.simulation.model.axial_response import LineModel, axial_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
 from napari_elsplus.workflows.recommendation.line_estimate import line_of_parts
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.line.location import Line
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import StepSummary
-    from napari_elsplus.simulation.model.axial_response import LineModel
 
 TOLERANCE_UM: Final = 1.0
 """Half the width of the green band around the target; chosen: a thirtieth of the usual offset."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.cores.canvas import SampleCanvas
 from napari_elsplus.processing.mosaicing.cores.reading import SPOT_PITCHES
 from napari_elsplus.processing.mosaicing.cores.reconstruction import (
@@ -22,7 +22,7 @@ from napari_elsplus.processing.mosaicing.cores.refinement import CoreGains, Plac
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.core_mosaicing.views import CoreView, FinishedBundle, view_of_raw_frames
@@ -35,11 +35,9 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
-    from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.finished.field import FinishedField
     from napari_elsplus.processing.tracking.methods import TrackingMethod
-    from napari_elsplus.processing.tracking.motion.pose import Pose
 
 CELLS_PER_PITCH: Final = 4
 """Cells of the mosaic per core pitch; derived: two per period of the finest pattern that the cores' modes pass, half a

@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.images.cores import CoreInterpolation
-from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner
 from napari_elsplus.processing.mosaicing.cores.reading import BundleCores
 from napari_elsplus.processing.tracking.finished.field import FinishedField, sample_frames
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.images.sectioning import Frames
 
 
 @dataclass(frozen=True)

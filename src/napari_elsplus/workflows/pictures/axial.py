@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
+from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB, AxialResponse
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.pictures.comparison import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from napari_elsplus.processing.axial.axial_response import AxialResponse
 
 RESIDUAL_COLOUR = "0.45"
 

@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
-from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, Contrast, contrast, white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.analysis.image_quality import Contrast
 
     Point = tuple[float, float]
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.pictures.comparison import COLOURS, TITLES
+from napari_elsplus.workflows.pictures.comparison import COLOURS, TITLES, ComparisonFigure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.workflows.pictures.comparison import ComparisonFigure
 
 _BAR_PT: Final = 10.0
 """Size of the labels of scale bars, points: that of the titles."""

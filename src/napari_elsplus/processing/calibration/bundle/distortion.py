@@ -15,6 +15,7 @@ from scipy.linalg import null_space
 
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence, information_criterion
 from napari_elsplus.processing.calibration.bundle.core_matching import (
+    CoreMatcher,
     circle_points,
     newton_step,
     slopes,
@@ -24,8 +25,6 @@ from napari_elsplus.processing.images.warping import POWERS, polynomial_terms, w
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]

@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, circle_points
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, TileShifts, circle_points
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
 from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.calibration.bundle.core_matching import TileShifts
 
     Floats = NDArray[np.float64]
 

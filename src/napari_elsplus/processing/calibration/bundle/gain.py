@@ -9,7 +9,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
-from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, tiles
+from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, CoreMatcher, tiles
 from napari_elsplus.processing.images.resampling import cropped
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
     from napari_elsplus.processing.calibration.bundle.location import Circle, Disc
 
     Floats = NDArray[np.float64]

@@ -26,7 +26,7 @@ from napari_elsplus.processing.calibration.bundle.core_matching import (
 from napari_elsplus.processing.calibration.bundle.distortion import DistortionMatcher, DistortionModel
 from napari_elsplus.processing.calibration.bundle.distortion_evidence import MIN_DISTORTION_PX, distortion_evidence
 from napari_elsplus.processing.calibration.bundle.gain import measure_gain
-from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE
+from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc
 from napari_elsplus.processing.images.cores import core_pitch_px
 from napari_elsplus.processing.images.resampling import cropped, resampled
 from napari_elsplus.processing.images.warping import warped
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.calibration.bundle.location import Disc
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]

@@ -12,14 +12,12 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
-from napari_elsplus.processing.calibration.line.location import RUNS, TAPER
+from napari_elsplus.processing.calibration.line.location import RUNS, TAPER, Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
-
-    from napari_elsplus.processing.calibration.line.location import Line
 
     Image = NDArray[np.float32]
 

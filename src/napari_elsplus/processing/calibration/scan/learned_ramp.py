@@ -14,14 +14,13 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.calibration.scan.galvo_response import ScanRecord, fit_galvo_response
-from napari_elsplus.processing.calibration.scan.row_errors import RowProfile, find_row_errors, join_views
+from napari_elsplus.processing.calibration.scan.row_errors import RowErrors, RowProfile, find_row_errors, join_views
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.scan.galvo_response import Drive, GalvoResponse
-    from napari_elsplus.processing.calibration.scan.row_errors import RowErrors
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
 

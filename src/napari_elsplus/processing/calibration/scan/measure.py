@@ -9,12 +9,11 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.calibration.scan.lag import FINE_SHIFTS, ScanLag, fit_lag, take_leads
-from napari_elsplus.processing.calibration.scan.learned_ramp import RampLearner, shifted
+from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp, RampLearner, Scans, shifted
 
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Setup
-    from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp, Scans
     from napari_elsplus.processing.progress import ProgressWrapper
 
 
