@@ -8,13 +8,12 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.acquisition.engine.live_images import LiveImages
 from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
-from napari_elsplus.diagnosis.rehearsal.messages import Exposures, report_to_rehearsal
+from napari_elsplus.diagnosis.rehearsal.messages import Exposures, answer_requests, report_to_rehearsal
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.hardware.virtual.camera.device import Shot
 
@@ -36,10 +34,12 @@ PATH: Final = Circle(diameter_um=20.0, period_s=8 / 120)
 
 SLOWED: Final[dict[str, tuple[type, str]]] = {"disk": (RecordingWriter, "append"), "images": (LiveImages, "__init__")}
 """Methods that a switch can delay."""
+FAILING: Final[dict[str, tuple[type, str]]] = {"recorder": (RecordingWriter, "append"), "tracker": (LiveTrack, "add")}
+"""Methods that a switch can let fail."""
 
 
 class Switches:
-    """Faults of the simulated devices; each method returns the time of the fault on the bench's clock.
+    """Faults of the simulated devices; the time of the answer is that of the fault.
 
     Parameters
     ----------
@@ -62,21 +62,18 @@ class Switches:
 
         rig.bench.optics.expose = noting  # type: ignore[method-assign]
 
-    def unplug(self) -> float:
+    def unplug(self) -> None:
         """Unplug the camera."""
         self._plug.unplugged = True
-        return time.perf_counter()
 
-    def cut_strobe(self) -> float:
+    def cut_strobe(self) -> None:
         """Cut the wire of the camera's strobe."""
         self._plug.camera.cut_strobe()
-        return time.perf_counter()
 
-    def camera(self, **faults: int) -> float:
+    def camera(self, **faults: int) -> None:
         """Set faults of the camera; see `napari_elsplus.hardware.virtual.camera.device.CameraFaults`."""
         for name, value in faults.items():
             setattr(self._plug.camera.faults, name, value)
-        return time.perf_counter()
 
     def exposures(self) -> Exposures | None:
         """Return when the camera took its frames; None before the first."""
@@ -87,37 +84,30 @@ class Switches:
         guardian = self._rig.guardian
         return (0, False) if guardian is None else (guardian.pid, guardian.on_guard)
 
-    def delay(self, where: str, seconds: float) -> float:
+    def delay(self, where: str, seconds: float) -> None:
         """Let every append to a recording, or every new maker of live images (`where`), take some `seconds` longer."""
         owner, method = SLOWED[where]
         self._delayed[where] = getattr(owner, method)
         _before(owner, method, lambda: time.sleep(seconds))
-        return time.perf_counter()
 
-    def quicken(self, where: str) -> float:
+    def quicken(self, where: str) -> None:
         """End a delay, where it was made."""
         setattr(*SLOWED[where], self._delayed.pop(where))
-        return time.perf_counter()
 
-    def fail(self, where: str) -> float:
+    def fail(self, where: str) -> None:
         """Let `where`, recorder or tracker, fail with an error that no caller expects."""
 
         def raise_defect() -> None:
             raise ValueError("rehearsed defect")
 
-        if where == "recorder":
-            _before(RecordingWriter, "append", raise_defect)
-        else:
-            _before(LiveTrack, "add", raise_defect)
-        return time.perf_counter()
+        _before(*FAILING[where], raise_defect)
 
-    def fill_disk(self) -> float:
+    def fill_disk(self) -> None:
         """Let files grow no further: the system refuses every write beyond their size."""
         if sys.platform != "win32":  # which leaves this fault out
             import resource
 
             resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
-        return time.perf_counter()
 
 
 def _before(owner: type, name: str, act: Callable[[], None]) -> None:
@@ -136,15 +126,9 @@ def open_rehearsed(name: str) -> Rig:
     rig = open_rig(name, Simulation(scene=fibres(), trajectory=PATH, own_process=True))
     assert rig.bench is not None
     connection = report_to_rehearsal("engine", place=rig.bench.card.place)  # type: ignore[union-attr] # it is remote
-    threading.Thread(target=_serve, args=(connection, Switches(rig)), name="fault switches", daemon=True).start()
+    arguments = connection, Switches(rig)
+    threading.Thread(target=answer_requests, args=arguments, name="fault switches", daemon=True).start()
     return rig
-
-
-def _serve(connection: Channel, switches: Switches) -> None:
-    with connection, suppress(EOFError, OSError):
-        while True:
-            name, arguments, options = connection.recv()
-            connection.send(getattr(switches, name)(*arguments, **options))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ from napari_elsplus.errors import ElsPlusError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    Play = Callable[[Stage, float], None]
+
 FAULTS: Final[dict[str, Fault]] = {}
 """Every fault by its name, in the order of the rehearsal."""
 
@@ -37,7 +39,7 @@ class Fault:
     name: str
     promise: str
     limit_s: float
-    play: Callable[[Stage, float], None]
+    play: Play
     posix: bool = False
 
     def rehearse(self) -> Row:
@@ -48,26 +50,13 @@ class Fault:
             except (ElsPlusError, OSError, EOFError, TimeoutError, AssertionError) as error:
                 stage.problems.append(f"{type(error).__name__}: {error}")
             parked_s = None if stage.parked_s is None else round(stage.parked_s, 3)
-            message = "; ".join([*stage.problems, *stage.heard] or [_without_message(parked_s)])
-            return Row(
-                self.name,
-                self.promise,
-                not stage.problems,
-                parked_s,
-                self.limit_s,
-                stage.lost,
-                stage.lost_silently,
-                message,
-            )
+            cleared = "" if parked_s is None else f"clear of the bundle after {parked_s:.2f} s"
+            message = "; ".join([*stage.problems, *stage.heard]) or cleared
+            lost = stage.lost, stage.lost_silently
+            return Row(self.name, self.promise, not stage.problems, parked_s, self.limit_s, *lost, message)
 
 
-def _without_message(parked_s: float | None) -> str:
-    return "" if parked_s is None else f"clear of the bundle after {parked_s:.2f} s"
-
-
-def fault(
-    name: str, promise: str, limit_s: float, *, posix: bool = False
-) -> Callable[[Callable[[Stage, float], None]], Callable[[Stage, float], None]]:
+def fault(name: str, promise: str, limit_s: float, *, posix: bool = False) -> Callable[[Play], Play]:
     """Register the function that plays a fault.
 
     Parameters
@@ -76,7 +65,7 @@ def fault(
         As of `Fault`.
     """
 
-    def register(play: Callable[[Stage, float], None]) -> Callable[[Stage, float], None]:
+    def register(play: Play) -> Play:
         FAULTS[name] = Fault(name, promise, limit_s, play, posix)
         return play
 

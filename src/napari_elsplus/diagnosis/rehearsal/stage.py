@@ -15,6 +15,7 @@ from dataclasses import replace
 from multiprocessing.connection import Listener
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Self, cast
 
 import numpy as np
@@ -23,7 +24,7 @@ import psutil
 from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.diagnosis.rehearsal.card_log import CardLog
-from napari_elsplus.diagnosis.rehearsal.messages import ADDRESS, Exposures
+from napari_elsplus.diagnosis.rehearsal.messages import ADDRESS, Exposures, request
 from napari_elsplus.errors import DeviceError, ElsPlusError
 from napari_elsplus.hardware.virtual.galvo import GalvoModel
 from napari_elsplus.io import open_recording
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.link.messages import Channel
     from napari_elsplus.instrument.calibration import Calibration
 
+PRESET: Final = "240hz"
+"""Camera region and frame rate of the rehearsal."""
 OFFSET_UM: Final = -29.0
 """Slit offset of the rehearsed instrument, as that of the simulated rig."""
 START_TIMEOUT_S: Final = 60.0
@@ -55,11 +58,6 @@ FRAMES_BEFORE: Final = 40
 class Stage:
     """Window, engine, card and guardian of one rehearsal. A context manager: leaving it ends all of them.
 
-    Parameters
-    ----------
-    preset : str
-        Camera region and frame rate.
-
     Attributes
     ----------
     problems : list of str
@@ -70,8 +68,8 @@ class Stage:
         Time of the fault, on the card's clock.
     """
 
-    def __init__(self, preset: str = "240hz") -> None:
-        self.settings = Settings(preset)
+    def __init__(self) -> None:
+        self.settings = Settings(PRESET)
         self.problems: list[str] = []
         self.heard: list[str] = []
         self.fault_s = math.nan
@@ -80,7 +78,7 @@ class Stage:
         self.engine_pid = 0
         self.exposures: Exposures | None = None
         self.reported: dict[str, int] = {}
-        self.instrument = Instrument.of(preset, offset_um=OFFSET_UM)
+        self.instrument = Instrument.of(PRESET, offset_um=OFFSET_UM)
         self._held = ExitStack()
         self._key = secrets.token_bytes(16)
 
@@ -152,14 +150,10 @@ class Stage:
         self.call("start")
         self.wait_for(lambda: self.status().acquired > FRAMES_BEFORE, "frames")
         if record:
-            self.record()
+            self.call("record", RecordingPlan(self.recording))
+            self.wait_for(lambda: self.status().recorded > FRAMES_BEFORE, "recorded frames")
         if not self.scans():
             raise DeviceError("the galvo does not scan before the fault", "report this")
-
-    def record(self) -> None:
-        """Record until frames are in the file."""
-        self.call("record", RecordingPlan(self.recording))
-        self.wait_for(lambda: self.status().recorded > FRAMES_BEFORE, "recorded frames")
 
     def scans(self) -> bool:
         """Return True if the drive was on the bundle within the last tenth of a second."""
@@ -167,22 +161,20 @@ class Stage:
         return self.log.on_bundle(now_s - 0.1, now_s)
 
     def finish(self) -> None:
-        """End the stream and wait until the recording is complete."""
+        """End the stream, wait until the recording is complete, and expect every frame of before the fault in it."""
         self.note_exposures()
         self.status()
         self.call("stop")
         self.wait_for(lambda: not getattr(self.status().recording, "running", False), "end of the recording")
+        self.expect_recording()
 
     def switch(self, name: str, *arguments: Any, **options: Any) -> Any:
         """Use the fault switch of that name; see `napari_elsplus.diagnosis.rehearsal.engine.Switches`."""
-        self._switches.send((name, arguments, options))
-        if not self._switches.poll(CALL_TIMEOUT_S):
-            raise DeviceError(f"the engine's process did not answer to {name}", "report this")
-        return self._switches.recv()
+        return request(self._switches, "engine", CALL_TIMEOUT_S, name, *arguments, **options).result
 
     def fault(self, name: str, *arguments: Any, **options: Any) -> None:
         """Inject a fault by the switch of that name, and note its time."""
-        self.fault_s = self.switch(name, *arguments, **options)
+        self.fault_s = request(self._switches, "engine", CALL_TIMEOUT_S, name, *arguments, **options).answered_s
 
     def card_fault(self, **faults: Any) -> None:
         """Inject a fault of the card; see `napari_elsplus.hardware.virtual.card.faults.CardFaults`."""
@@ -291,19 +283,22 @@ class Stage:
         now = self.status()
         self.expect(now.live and now.processed >= before.processed + FRAMES_BEFORE, "frames do not go on")
 
-    def expect_recording(self, *, until_s: float | None = None, complete: bool = True) -> None:
-        """Expect that every frame of the camera is in the recording, or was reported as lost.
+    def expect_undisturbed(self) -> None:
+        """Expect that galvo and frames go on, and every frame of before the fault in the recording; end the stream."""
+        self.expect_scanning()
+        self.expect_frames_go_on()
+        self.finish()
+
+    def expect_recording(self, *, complete: bool = True) -> None:
+        """Expect that every frame of the camera before the fault is in the recording, or was reported as lost.
 
         Parameters
         ----------
-        until_s : float, optional
-            Time up to which; that of the fault by default.
         complete : bool
             Frames missing at the end are lost without a report; False: the end of the engine is their report.
         """
         exposures = self.exposures
         assert exposures is not None
-        until_s = self.fault_s if until_s is None else until_s
         try:
             with open_recording(self.recording) as recording:
                 numbers = recording.frame_numbers
@@ -312,7 +307,7 @@ class Stage:
             self.problems.append(f"the recording cannot be read: {error}")
             return
         self.expect(readable and (np.diff(numbers) > 0).all(), "the recording's frames are not in order")
-        newest = exposures.frame + math.floor((until_s - IN_FLIGHT_S - exposures.read_out_s) / exposures.period_s)
+        newest = exposures.frame + math.floor((self.fault_s - IN_FLIGHT_S - exposures.read_out_s) / exposures.period_s)
         gaps = int(numbers[-1] - numbers[0] + 1 - len(numbers))
         tail = max(0, newest - int(numbers[-1]))
         reported = sum(self.reported.values())
@@ -334,35 +329,23 @@ class Stage:
         return any(word in message for message in self.heard for word in words)
 
     def _ask(self, name: str, *arguments: Any, answer_s: float = 2 * CALL_TIMEOUT_S) -> Any:
-        self._window.send((name, arguments, {}))
-        if not self._window.poll(answer_s):
-            raise DeviceError(f"the window's process did not answer to {name}", "report this")
-        answer, error = self._window.recv()
-        if error is not None:
-            raise error
-        return answer
+        return request(self._window, "window", answer_s, name, *arguments).result
 
     def _accept(self) -> tuple[str, dict[str, Any], Channel]:
         """Accept a connection; processes that never come end the wait."""
-        return _accept_in_time(self._listener)
+        found: list[Channel] = []
 
+        def accept() -> None:
+            with suppress(OSError):
+                found.append(self._listener.accept())
 
-def _accept_in_time(listener: Listener) -> tuple[str, dict[str, Any], Channel]:
-    from threading import Thread
-
-    found: list[Channel] = []
-
-    def accept() -> None:
-        with suppress(OSError):
-            found.append(listener.accept())
-
-    waiting = Thread(target=accept, name="rehearsal", daemon=True)
-    waiting.start()
-    waiting.join(START_TIMEOUT_S)
-    if not found:
-        raise DeviceError("a process of the rehearsal did not start", "close other programs, then rehearse again")
-    role, facts = found[0].recv()
-    return role, facts, found[0]
+        waiting = Thread(target=accept, name="rehearsal", daemon=True)
+        waiting.start()
+        waiting.join(START_TIMEOUT_S)
+        if not found:
+            raise DeviceError("a process of the rehearsal did not start", "close other programs, then rehearse again")
+        role, facts = found[0].recv()
+        return role, facts, found[0]
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -8,18 +8,16 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.diagnosis.rehearsal.messages import report_to_rehearsal
+from napari_elsplus.diagnosis.rehearsal.messages import answer_requests, report_to_rehearsal
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
-
-    from napari_elsplus.acquisition.link.messages import Channel
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.diagnosis.rehearsal.engine")
 """Starts the engine's process, with fault switches on the simulated devices."""
@@ -79,21 +77,6 @@ class Window:
         self._client.close()
 
 
-def run(connection: Channel) -> None:
-    """Execute requests until the connection ends."""
-    window = Window(EngineClient(ENGINE))
-    try:
-        with suppress(EOFError, OSError):
-            while True:
-                name, arguments, options = connection.recv()
-                try:
-                    answer: tuple[Any, BaseException | None] = getattr(window, name)(*arguments, **options), None
-                except Exception as error:  # noqa: BLE001 - the rehearsal judges it
-                    answer = None, error
-                connection.send(answer)
-    finally:
-        window.close()
-
-
 if __name__ == "__main__":
-    run(report_to_rehearsal("window"))
+    with closing(Window(EngineClient(ENGINE))) as window:
+        answer_requests(report_to_rehearsal("window"), window)

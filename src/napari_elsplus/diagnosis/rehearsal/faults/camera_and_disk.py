@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 from napari_elsplus.diagnosis.rehearsal.registry import fault
@@ -23,25 +24,23 @@ def _camera_unplugged(stage: Stage, limit_s: float) -> None:
     stage.expect_parked(limit_s)
     stage.expect_reported("unplugged", "camera")
     stage.finish()
-    stage.expect_recording()
 
 
-@fault("short-frames", "dropped and counted, the others recorded", 2.0)
-def _short_frames(stage: Stage, limit_s: float) -> None:
-    """Cut frames short."""
-    _expect_counted(stage, "short_frames", limit_s)
+def _faulty_frames(stage: Stage, limit_s: float, kind: str) -> None:
+    """Cut frames short, end them with a bad trailer, or lose them in the camera, by `kind`."""
+    stage.scan()
+    stage.fault("camera", **{kind: FAULTY_FRAMES})
+    stage.wait_for(lambda: sum(stage.status().dropped.values()) >= FAULTY_FRAMES, "count of frames lost", limit_s)
+    stage.fault_s = time.perf_counter()
+    stage.expect_undisturbed()
+    reported = sum(stage.reported.values())
+    stage.expect(reported == stage.lost, f"{reported} frames were reported as lost, {stage.lost} are missing")
+    _hear_counts(stage)
 
 
-@fault("bad-trailers", "dropped and counted, the others recorded", 2.0)
-def _bad_trailers(stage: Stage, limit_s: float) -> None:
-    """End frames with a bad trailer."""
-    _expect_counted(stage, "bad_trailers", limit_s)
-
-
-@fault("frame-gap", "counted, the others recorded", 2.0)
-def _frame_gap(stage: Stage, limit_s: float) -> None:
-    """Lose frames in the camera."""
-    _expect_counted(stage, "drop_frames", limit_s)
+fault("short-frames", "dropped and counted, the others recorded", 2.0)(partial(_faulty_frames, kind="short_frames"))
+fault("bad-trailers", "dropped and counted, the others recorded", 2.0)(partial(_faulty_frames, kind="bad_trailers"))
+fault("frame-gap", "counted, the others recorded", 2.0)(partial(_faulty_frames, kind="drop_frames"))
 
 
 @fault("slow-disk", "frames dropped and counted, the stream goes on", 10.0)
@@ -54,7 +53,6 @@ def _slow_disk(stage: Stage, limit_s: float) -> None:
     stage.expect_frames_go_on()
     stage.switch("quicken", "disk")
     stage.finish()
-    stage.expect_recording()
     _hear_counts(stage)
 
 
@@ -64,24 +62,7 @@ def _full_disk(stage: Stage, limit_s: float) -> None:
     stage.scan()
     stage.fault("fill_disk")
     stage.expect_reported("disk", "rehearsal.ome.tif", timeout_s=limit_s)
-    stage.expect_scanning()
-    stage.expect_frames_go_on()
-    stage.finish()
-    stage.expect_recording()
-
-
-def _expect_counted(stage: Stage, kind: str, limit_s: float) -> None:
-    stage.scan()
-    stage.fault("camera", **{kind: FAULTY_FRAMES})
-    stage.wait_for(lambda: sum(stage.status().dropped.values()) >= FAULTY_FRAMES, "count of frames lost", limit_s)
-    stage.expect_scanning()
-    stage.expect_frames_go_on()
-    stage.fault_s = time.perf_counter()
-    stage.finish()
-    stage.expect_recording()
-    reported = sum(stage.reported.values())
-    stage.expect(reported == stage.lost, f"{reported} frames were reported as lost, {stage.lost} are missing")
-    _hear_counts(stage)
+    stage.expect_undisturbed()
 
 
 def _hear_counts(stage: Stage) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 from napari_elsplus.diagnosis.rehearsal.registry import fault
 from napari_elsplus.diagnosis.rehearsal.stage import Stage, ends_within
@@ -23,7 +24,7 @@ def _strobe_lost(stage: Stage, limit_s: float) -> None:
     stage.fault("cut_strobe")
     stage.expect_parked(limit_s)
     stage.expect_reported("strobe")
-    _finish(stage)
+    stage.finish()
 
 
 @fault("strobe-never-wired", "parked within 0.5 s after the first frame, names the wire", PARKED_WITHIN_S)
@@ -60,19 +61,25 @@ def _daq_underrun(stage: Stage, limit_s: float) -> None:
     stage.log.card.break_with(-200621)
     stage.expect_parked(limit_s)
     stage.expect_reported("ran out of samples", "200621")
-    _finish(stage)
+    stage.finish()
 
 
-@fault("card-refuses-while-closing", "parked within 0.5 s after the card accepts again", SHORT_S + PARKED_WITHIN_S)
-def _card_refuses_while_closing(stage: Stage, limit_s: float) -> None:
-    """Close the engine while the card refuses every call for 0.3 s."""
-    _close_refused(stage, SHORT_S, limit_s)
+def _card_refuses_while_closing(stage: Stage, limit_s: float, refuse_s: float) -> None:
+    """Close the engine while the card refuses every call for `refuse_s`."""
+    stage.scan()
+    stage.note_exposures()
+    stage.status()
+    guardian, _ = stage.switch("guardian")
+    stage.card_fault(refuse_s=refuse_s)
+    stage.close()
+    stage.expect_parked(limit_s)
+    stage.expect(ends_within(guardian, 5.0), "the guardian's process did not end")
+    stage.expect_recording()
 
 
-@fault("card-refuses-long-while-closing", "parked within 0.5 s after the card accepts again", LONG_S + PARKED_WITHIN_S)
-def _card_refuses_long_while_closing(stage: Stage, limit_s: float) -> None:
-    """Close the engine while the card refuses every call for 3 s."""
-    _close_refused(stage, LONG_S, limit_s)
+for name, refuse_s in (("card-refuses-while-closing", SHORT_S), ("card-refuses-long-while-closing", LONG_S)):
+    promise = "parked within 0.5 s after the card accepts again"
+    fault(name, promise, refuse_s + PARKED_WITHIN_S)(partial(_card_refuses_while_closing, refuse_s=refuse_s))
 
 
 @fault("card-refuses-park", "reported as not parked, parked within 0.5 s after the card accepts", LONG_S + 0.5)
@@ -82,7 +89,7 @@ def _card_refuses_park(stage: Stage, limit_s: float) -> None:
     stage.card_fault(refuse_s=LONG_S)
     stage.expect_refused(stage.begin("park"), "NOT PARKED")
     stage.expect_parked(limit_s)
-    _finish(stage)
+    stage.finish()
 
 
 @fault("clear-task-error", "parked within 0.5 s, watched as before", PARKED_WITHIN_S)
@@ -92,7 +99,7 @@ def _clear_task_error(stage: Stage, limit_s: float) -> None:
     stage.card_fault(clear_errors=3)
     stage.call("park")
     stage.expect_parked(limit_s)
-    _finish(stage)
+    stage.finish()
     first_s = stage.parked_s
     stage.log.card.inject(clear_errors=0)
     stage.call("start")
@@ -112,7 +119,7 @@ def _park_refused_until_reset(stage: Stage, limit_s: float) -> None:
     stage.log.card.break_with(-50103)
     stage.call("park")
     stage.expect_parked(limit_s)
-    _finish(stage)
+    stage.finish()
 
 
 @fault("card-hangs", "parked within 2 s although calls of the driver do not return", 2.0)
@@ -123,7 +130,7 @@ def _card_hangs(stage: Stage, limit_s: float) -> None:
     stage.begin("park")
     stage.expect_parked(limit_s)
     stage.log.card.inject(hangs=False)
-    _finish(stage)
+    stage.finish()
 
 
 @fault("voltage-out-of-range", "refused before the card, the scan goes on", 2.0)
@@ -134,24 +141,4 @@ def _voltage_out_of_range(stage: Stage, limit_s: float) -> None:
     stage.expect_refused(stage.begin("hold", 9.0), "limit", timeout_s=limit_s)
     outside = [p for p in stage.log.programs if abs(p.resting_v) > 2 or (len(p.samples) and abs(p.samples).max() > 2)]
     stage.expect(not outside, "the card was given a voltage outside the limits")
-    stage.expect_scanning()
-    stage.expect_frames_go_on()
-    _finish(stage)
-
-
-def _close_refused(stage: Stage, refuse_s: float, limit_s: float) -> None:
-    stage.scan()
-    stage.note_exposures()
-    stage.status()
-    guardian, _ = stage.switch("guardian")
-    stage.card_fault(refuse_s=refuse_s)
-    stage.close()
-    stage.expect_parked(limit_s)
-    stage.expect(ends_within(guardian, 5.0), "the guardian's process did not end")
-    stage.expect_recording()
-
-
-def _finish(stage: Stage) -> None:
-    """End stream and recording; expect every frame of before the fault."""
-    stage.finish()
-    stage.expect_recording()
+    stage.expect_undisturbed()

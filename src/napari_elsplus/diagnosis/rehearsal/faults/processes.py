@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from functools import partial
 from typing import Final
 
 from napari_elsplus.acquisition.link.messages import HEARTBEAT_TIMEOUT_S
@@ -64,21 +65,8 @@ def _engine_killed(stage: Stage, limit_s: float) -> None:
     stage.expect_recording(complete=False)
 
 
-@fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)
-def _guardian_killed(stage: Stage, limit_s: float) -> None:
-    """Kill the guardian's process; after its time, if another is on guard, kill the engine, too."""
-    _lose_guardian(stage, KILL, limit_s)
-
-
-@fault("guardian-stopped", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S, posix=True)
-def _guardian_stopped(stage: Stage, limit_s: float) -> None:
-    """Stop the guardian's process, without ending it; then as if it was killed."""
-    if sys.platform != "win32":
-        _lose_guardian(stage, signal.SIGSTOP, limit_s)
-
-
-def _lose_guardian(stage: Stage, by: signal.Signals, limit_s: float) -> None:
-    """End the guardian `by` a signal; after its time, if another is on guard, kill the engine, too."""
+def _guardian_lost(stage: Stage, limit_s: float, by: signal.Signals) -> None:
+    """Kill or stop the guardian `by` a signal; after its time, if another is on guard, kill the engine, too."""
     stage.scan()
     stage.note_exposures()
     first, _ = stage.switch("guardian")
@@ -91,7 +79,6 @@ def _lose_guardian(stage: Stage, by: signal.Signals, limit_s: float) -> None:
     if not replaced:
         stage.expect_parked(limit_s)
         stage.finish()
-        stage.expect_recording()
         return
     stage.expect_frames_go_on()
     stage.note_exposures()
@@ -100,6 +87,12 @@ def _lose_guardian(stage: Stage, by: signal.Signals, limit_s: float) -> None:
     stage.expect_parked(0.5)
     stage.expect_recording(complete=False)
     stage.hear(f"replaced; after {stage.fault_s - lost_s:.1f} s the engine was killed, and it parked")
+
+
+fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)(partial(_guardian_lost, by=KILL))
+if sys.platform != "win32":
+    stopped = partial(_guardian_lost, by=signal.SIGSTOP)
+    fault("guardian-stopped", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S, posix=True)(stopped)
 
 
 @fault("script-without-guardian", "parked within 0.5 s by the guardian that every open rig has", 0.5)
@@ -138,4 +131,3 @@ def _window_frozen(stage: Stage, limit_s: float) -> None:
             os.kill(stage.window_process.pid, signal.SIGCONT)
         stage.expect_reported("heartbeat", "window")
         stage.finish()
-        stage.expect_recording()
