@@ -23,8 +23,6 @@ PATTERN: Final = 4.0
 where cores are two pixels apart."""
 MIN_EXCESS: Final = 3.0
 """Least excess, grey levels; chosen: the noise of less dark current is below that of the camera."""
-BAND_ROWS: Final = 64
-"""Rows that are searched at a time, a multiple of `SAMPLED`; chosen: they stay in the processor's cache."""
 SAMPLED: Final = 8
 """Step of the rows from which that median is estimated; chosen: thousands of pixels are left."""
 MAX_SHARE: Final = 0.01
@@ -74,21 +72,12 @@ def _stand_out(background: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArr
     """Return rows and columns of the pixels of a background that stand out of their neighbours."""
     frame, ring = np.asarray(background, np.float32), np.ones((3, 3), np.uint8)
     ring[1, 1] = 0
-    memory = np.empty((BAND_ROWS + 2, frame.shape[1]), np.float32)
-    places, heights, maxima = [], [], []
-    for first in range(0, len(frame), BAND_ROWS):
-        top = max(first - 1, 0)
-        part = frame[top : first + BAND_ROWS + 1]
-        brightest = cv2.dilate(part, ring, dst=memory[: len(part)])
-        excess = np.subtract(part, brightest, out=brightest)[first - top :][:BAND_ROWS]
-        some = excess[::SAMPLED]
-        maxima.append(some[some > 0])
-        high = np.flatnonzero(excess > MIN_EXCESS)
-        places.append(first * frame.shape[1] + high)
-        heights.append(excess.ravel()[high])
-    place, height = np.concatenate(places), np.concatenate(heights)
+    excess = cv2.dilate(frame, ring)
+    np.subtract(frame, excess, out=excess)
+    some, place = excess[::SAMPLED], np.flatnonzero(excess > MIN_EXCESS)
+    height = excess.ravel()[place]
     if len(place):
-        kept = height > EXCESS * float(np.median(np.concatenate(maxima)))
+        kept = height > EXCESS * float(np.median(some[some > 0]))
         place, height = place[kept], height[kept]
     rows, cols = np.divmod(place, frame.shape[1])
     lowest = _around(frame, rows, cols, _square(2)).min(axis=0)
