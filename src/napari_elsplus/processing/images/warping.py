@@ -62,15 +62,17 @@ class WarpedResampler(WindowedResampler):
         crossing = np.empty((rows, side))
         for c in range(side):
             crossing[:, c] = np.interp(np.arange(rows), down[:, c], across[:, c])
-        self._left, self._left_phase = _split(crossing, cols)
-        self._top, self._top_phase = _split(down, rows)
+        left, self._left_phase = _split(crossing, cols)
+        top, self._top_phase = _split(down, rows)
+        self._left = left + cols * np.arange(rows, dtype=np.int32)[:, None]
+        self._top = side * top + np.arange(side, dtype=np.int32)
         self._between = np.empty((rows, side), np.float32)
         self._table = tabulated_taps()
 
     def __call__(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample the content of the window into `out`, (n, n) float32, and return it."""
-        _along_rows(self.window, self._left, self._left_phase, self._table, self._between)
-        _along_columns(self._between, self._top, self._top_phase, self._table, out)
+        _interpolate(self.window.ravel(), self._left, 1, self._left_phase, self._table, self._between)
+        _interpolate(self._between.ravel(), self._top, self._between.shape[1], self._top_phase, self._table, out)
         return out
 
 
@@ -100,34 +102,18 @@ def _split(at: Floats, size: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
 @kernel
-def _along_rows(
-    image: NDArray[np.float32],
-    left: NDArray[np.int32],
+def _interpolate(
+    pixels: NDArray[np.float32],
+    first: NDArray[np.int32],
+    step: int,
     phase: NDArray[np.int32],
     table: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Interpolate each row of an image at a column of its own for every pixel."""
+    """Interpolate among twelve of some pixels for every sample, from the first of them and a step apart."""
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
             total = np.float32(0)
             for k in range(2 * LOBES):
-                total += table[phase[r, c], k] * image[r, left[r, c] + k]
-            out[r, c] = total
-
-
-@kernel
-def _along_columns(
-    image: NDArray[np.float32],
-    top: NDArray[np.int32],
-    phase: NDArray[np.int32],
-    table: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Interpolate each column of an image at a row of its own for every pixel."""
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            total = np.float32(0)
-            for k in range(2 * LOBES):
-                total += table[phase[r, c], k] * image[top[r, c] + k, c]
+                total += table[phase[r, c], k] * pixels[first[r, c] + k * step]
             out[r, c] = total
