@@ -140,7 +140,8 @@ class Sheet:
             if extent is None:
                 continue
             stays = known is not None and known.canvas is canvas
-            reserved = _reserved(extent.union(known.reserved) if known is not None and stays else extent)
+            whole = extent.union(known.reserved) if known is not None and stays else extent
+            reserved = whole.aligned(RESERVED_STEP_PX)  # so that segments below seldom move while this one grows
             if not places:
                 left, row, col = reserved.left, 0, 0
             else:
@@ -160,10 +161,3 @@ class Sheet:
 
     def _mark_dirty(self, part: Rectangle) -> None:
         self._dirty = part if self._dirty is None else self._dirty.union(part)
-
-
-def _reserved(extent: Rectangle) -> Rectangle:
-    """Round an extent outwards, so that segments below seldom move while this one grows."""
-    top, left = (RESERVED_STEP_PX * (first // RESERVED_STEP_PX) for first in (extent.top, extent.left))
-    bottom, right = (-RESERVED_STEP_PX * (-last // RESERVED_STEP_PX) for last in (extent.bottom, extent.right))
-    return Rectangle(top, left, bottom, right)

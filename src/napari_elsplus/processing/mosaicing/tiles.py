@@ -55,6 +55,11 @@ class Rectangle(NamedTuple):
         """Return the rectangle with a margin on all sides."""
         return Rectangle(self.top - margin, self.left - margin, self.bottom + margin, self.right + margin)
 
+    def aligned(self, step: int) -> Rectangle:
+        """Return the rectangle, grown to multiples of a `step`."""
+        first, last = (step * (edge // step) for edge in self[:2]), (-step * (-edge // step) for edge in self[2:])
+        return Rectangle(*first, *last)
+
     def slices(self, whole: Rectangle) -> Slices:
         """Return row and column slices of this rectangle in an array of the whole rectangle, which contains it."""
         return (

@@ -92,7 +92,7 @@ class GrowingImage:
         """
         moved = self.sheet.arrange(canvases, like)
         dirty = self._pyramid.refresh()
-        frame = _aligned(self.sheet.drawn or self.frame)
+        frame = (self.sheet.drawn or self.frame).aligned(FRAME_STEP_PX)  # it seldom changes
         reframed = frame != self.frame
         if reframed:
             self.frame = frame
@@ -198,13 +198,6 @@ def _read(pyramid: Pyramid, level: int, part: Rectangle) -> NDArray[np.float32]:
 
 def _halved(frame: Rectangle, level: int) -> Rectangle:
     return Rectangle(*(edge >> level for edge in frame))
-
-
-def _aligned(extent: Rectangle) -> Rectangle:
-    """Round outwards, so that the frame of a growing image seldom changes."""
-    top, left = (FRAME_STEP_PX * (first // FRAME_STEP_PX) for first in (extent.top, extent.left))
-    bottom, right = (-FRAME_STEP_PX * (-last // FRAME_STEP_PX) for last in (extent.bottom, extent.right))
-    return Rectangle(top, left, bottom, right)
 
 
 def _levels_of(frame: Rectangle) -> int:
