@@ -29,26 +29,18 @@ MEASURED_FIRST: Final = ("background", "pair")
 
 def measure(
     *,
-    line: Frames | None = None,
-    sweep: Frames | None = None,
     volts: NDArray[np.floating] | None = None,
-    bundle: Frames | None = None,
-    background: Frames | None = None,
-    flat: Frames | None = None,
     um_per_px: float | None = None,
     bundle_um: float | None = None,
     line_period_s: float | None = None,
     line_periods_per_frame: float | None = None,
     progress: ProgressWrapper = iter,
-    **added: Frames | None,
+    **frames: Frames | None,
 ) -> Draft:
     """Measure a calibration from any subset of its inputs.
 
     Parameters
     ----------
-    line, sweep, bundle, background, flat : sequence of numpy.ndarray, optional
-        Raw frames (rows, cols): the line standing still; the line at each of `volts`; the bundle lit from the far end;
-        a dark tube; a uniform scene.
     volts : numpy.ndarray, optional
         A voltage per frame of `sweep`.
     um_per_px, bundle_um : float, optional
@@ -57,8 +49,10 @@ def measure(
         Timing.
     progress : callable, optional
         Wraps the numbers of the sweep's frames, to display progress.
-    **added : sequence of numpy.ndarray, optional
-        Raw frames of steps that other packages have registered, by the steps' `option`.
+    **frames : sequence of numpy.ndarray, optional
+        Raw frames (rows, cols) of the steps, by their `option`: `line` standing still; `sweep`, the line at each of
+        `volts`; `bundle` lit from the far end; `background`, a dark tube; `flat`, a uniform scene; and those of steps
+        that other packages have registered.
 
     Returns
     -------
@@ -73,20 +67,19 @@ def measure(
         If a step finds no line or no pair.
     """
     options = [step.option for step in calibration_steps() if step.option]
-    if unknown := [name for name in added if name not in options]:
+    if unknown := [name for name in frames if name not in options]:
         raise InputError(f"no calibration step takes {unknown[0]!r}", f"choose among {', '.join(options)}")
-    inputs = {"line": line, "sweep": sweep, "bundle": bundle, "background": background, "flat": flat, **added}
-    given = {name: frames for name, frames in inputs.items() if frames is not None}
+    given = {name: taken for name, taken in frames.items() if taken is not None}
     _check_shapes(given)
-    if sweep is None and volts is not None:
+    if "sweep" not in given and volts is not None:
         raise InputError("voltages without a sweep", "give --sweep")
-    if sweep is not None and volts is None:
+    if "sweep" in given and volts is None:
         raise InputError("a sweep without voltages", "give --volts")
     if um_per_px is not None and bundle_um is not None:
         raise InputError(f"two scales, {um_per_px} um per pixel and a bundle of {bundle_um} um", "give one of them")
-    if bundle_um is not None and bundle is None:
+    if bundle_um is not None and "bundle" not in given:
         raise InputError(f"a bundle of {bundle_um} um gives no scale without its image", "give --bundle or --um-per-px")
-    if flat is not None and bundle is None:
+    if "flat" in given and "bundle" not in given:
         raise InputError("a flat field belongs to a located bundle", "give --bundle")
     optics = _optics_section(um_per_px, line_period_s, line_periods_per_frame)
     if bundle_um is not None:
@@ -95,7 +88,7 @@ def measure(
         raise InputError(
             f"a line period of {line_period_s:g} s", "give the seconds from one row to the next, about 1e-5"
         )
-    rows = max((frames[0].shape[0] for frames in given.values()), default=0)
+    rows = max((taken[0].shape[0] for taken in given.values()), default=0)
     if line_periods_per_frame is not None and line_periods_per_frame < rows:
         raise InputError(
             f"{line_periods_per_frame:g} rows per frame, but frames have {rows} rows",
@@ -104,10 +97,9 @@ def measure(
     draft = Draft(Calibration(optics=optics), bundle_um=bundle_um)
     for step in calibration_steps(first=MEASURED_FIRST):
         if step.option in given:
-            frames = given[step.option]
-            setup = setup_of(frames)
+            setup = setup_of(given[step.option])
             swept = volts if step.capture is Capture.SWEEP else None
-            found = step.estimate(StepInputs(frames, setup, swept, progress=progress), draft)
+            found = step.estimate(StepInputs(given[step.option], setup, swept, progress=progress), draft)
             draft = step.accept(draft, found, setup)
     return draft
 
