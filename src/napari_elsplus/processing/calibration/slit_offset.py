@@ -21,6 +21,7 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
     white_level,
 )
+from napari_elsplus.processing.calibration.galvo import visible_line
 from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
@@ -130,7 +131,7 @@ def measure_offset(
         try:
             lines.append(locate_line(frame[:, part], dark, before))
         except MeasurementError as error:
-            if dark is not None and _shows_line(frame[:, part]):
+            if dark is not None and visible_line(frame[:, part]) is not None:
                 raise MeasurementError(
                     f"{name} view: the laser line does not stand out of the background",
                     "is the background that of a dark tube?",
@@ -151,15 +152,6 @@ def measure_offset(
     unsteady_rows = common_scatter_rows(shifts)
     uncertainty_rows = float(np.hypot(found.uncertainty_rows, unsteady_rows))
     return replace(found, uncertainty_rows=uncertainty_rows, unsteady_rows=unsteady_rows)
-
-
-def _shows_line(view: NDArray[np.generic]) -> bool:
-    """Return True if a line is located in a view with its background."""
-    try:
-        locate_line(view)
-    except MeasurementError:
-        return False
-    return True
 
 
 def parts_of(line: Line, view: NDArray[np.generic]) -> LineParts | None:
