@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.mosaic.tracking import TrackState
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import TrackTable
     from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.processing.mosaicing.tiles import Canvas
 
@@ -47,19 +46,9 @@ class LiveMosaicView:
             max_trackable_px_per_frame(diameter, state.camera_px_per_pixel, plan.method),
         )
         self._feed: MosaicFeed | None = MosaicFeed(state.board, blended=plan.insertion is Insertion.FEATHERED)
-        self._rows = self._feed.rows
-        self._canvases: Mapping[Mode, Mapping[int, Canvas]] = {mode: {} for mode in plan.modes}
+        self.rows = self._feed.rows
+        self.canvases: Mapping[Mode, Mapping[int, Canvas]] = {mode: {} for mode in plan.modes}
         self.revision = 0
-
-    @property
-    def rows(self) -> TrackTable:
-        """The track copied so far."""
-        return self._rows
-
-    @property
-    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
-        """The segments of each mode copied so far."""
-        return self._canvases
 
     @property
     def follows(self) -> bool:
@@ -80,16 +69,16 @@ class LiveMosaicView:
                 return False
         except FileNotFoundError:  # a part that was never opened
             return False
-        self._canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
+        self.canvases = {mode: dict(feed.canvases.get(image, {})) for image, mode in enumerate(self.plan.modes)}
         self.revision = feed.revision
         return True
 
     def undo(self) -> bool:
         """Remove the last segment of a closed copy, and return True if there was one."""
-        left = without_last_segment(self._canvases, self._rows)
+        left = without_last_segment(self.canvases, self.rows)
         if left is None:
             return False
-        self._canvases = left
+        self.canvases = left
         self.revision += 1
         return True
 
