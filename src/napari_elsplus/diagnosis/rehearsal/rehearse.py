@@ -1,4 +1,4 @@
-"""Rehearsal of all faults, or of some."""
+"""The faults that can be rehearsed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from napari_elsplus.diagnosis.rehearsal.registry import FAULTS, Fault
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from napari_elsplus.diagnosis.rehearsal.row import Row
+    from collections.abc import Sequence
 
 REGISTERING = (card, camera_and_disk, processes, commands)
 """Modules whose functions register themselves when they are imported."""
@@ -32,25 +30,3 @@ def faults(names: Sequence[str] = ()) -> list[Fault]:
     if names:
         return [FAULTS[name] for name in names]
     return [fault for fault in FAULTS.values() if not (fault.posix and sys.platform == "win32")]
-
-
-def rehearse(names: Sequence[str] = ()) -> Iterator[Row]:
-    """Play faults on the simulated rig, one after the other, each in processes of its own.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the faults; all by default.
-
-    Yields
-    ------
-    Row
-        The result of each fault, as soon as it was played.
-
-    Raises
-    ------
-    InputError
-        If there is no fault of a name.
-    """
-    for chosen in faults(names):
-        yield chosen.rehearse()
