@@ -20,10 +20,9 @@ import click
 import numpy as np
 
 from napari_elsplus.diagnosis.first_light_card import dry_run, parked_waveform, parking
-from napari_elsplus.diagnosis.first_light_scan import lit_rig, mirror_step, strobe_phase
+from napari_elsplus.diagnosis.first_light_scan import configure, lit_rig, mirror_step, strobe_phase
 from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.hardware.drivers import features_of
-from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
 from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, rig_settings
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.u3v import flea3
@@ -31,7 +30,7 @@ from napari_elsplus.hardware.u3v.camera import Features, U3vCamera
 from napari_elsplus.hardware.u3v.control import Control, RegisterError
 from napari_elsplus.hardware.u3v.discovery import choose_camera, endpoints
 from napari_elsplus.hardware.u3v.flea3 import BASE
-from napari_elsplus.instrument.optics import PRESETS, preset
+from napari_elsplus.instrument.optics import PRESETS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -244,10 +243,7 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
 
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
     """Set the camera to a preset at the highest rate that it takes, and return how many frames that are."""
-    chosen = preset(preset_name)
-    region = preset_region(rig.camera, chosen)
-    rate_hz = allowed_rate_hz(rig.camera, region, SLIT_ROWS, chosen.optics.frame_rate_hz)
-    rig.camera.configure(region, slit_rows=SLIT_ROWS, frame_rate_hz=rate_hz)
+    rate_hz = configure(rig.camera, preset_name, SLIT_ROWS)
     if not MIN_FRAMES <= seconds * rate_hz < inf:
         raise InputError(f"{seconds} s", "take at least a tenth of a second")
     return round(seconds * rate_hz)

@@ -15,7 +15,7 @@ import numpy as np
 from napari_elsplus.acquisition.calibrating.simulated import place_target
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.limits import allowed_rate_hz, preset_region
-from napari_elsplus.hardware.protocols import FrameInfo, HasClock
+from napari_elsplus.hardware.protocols import Camera, FrameInfo, HasClock
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
 from napari_elsplus.hardware.scan.waveform import REARM_S, SAMPLE_RATE_HZ, Waveform, els_waveform
@@ -52,6 +52,25 @@ SETTLED_ROWS: Final = 1.0
 """Distance from the end of the step within which the galvo has settled, in rows; chosen: a third of the slit."""
 _SKIPPED_PERIODS: Final = 2.0
 """Frame periods after a new scan whose frames are not used: the line is at rest until the first strobe; chosen."""
+
+
+def configure(camera: Camera, preset_name: str, slit_rows: int) -> float:
+    """Set a camera to a preset at the highest rate that it takes, and return that rate in hertz.
+
+    Parameters
+    ----------
+    camera : Camera
+        Open, and not streaming.
+    preset_name : str
+        Region and frame rate.
+    slit_rows : int
+        Slit width in rows.
+    """
+    chosen = preset(preset_name)
+    region = preset_region(camera, chosen)
+    rate_hz = allowed_rate_hz(camera, region, slit_rows, chosen.optics.frame_rate_hz)
+    camera.configure(region, slit_rows=slit_rows, frame_rate_hz=rate_hz)
+    return rate_hz
 
 
 @contextmanager
@@ -98,10 +117,8 @@ class ScannedFrames:
     """
 
     def __init__(self, rig: Rig, calibration: Calibration, preset_name: str, slit_rows: int) -> None:
-        self._rig, camera, chosen = rig, rig.camera, preset(preset_name)
-        region = preset_region(camera, chosen)
-        rate_hz = allowed_rate_hz(camera, region, slit_rows, chosen.optics.frame_rate_hz)
-        camera.configure(region, slit_rows=slit_rows, frame_rate_hz=rate_hz)
+        self._rig, camera = rig, rig.camera
+        configure(camera, preset_name, slit_rows)
         self.timing = ScanTiming(camera.line_period_s, camera.line_periods_per_frame, slit_rows, rig.strobe)
         self.profile = RowProfile(calibration.measured_bundle, camera.frame_shape)
         self._buffer = np.empty(camera.frame_shape, np.uint8)
