@@ -240,12 +240,10 @@ class OffsetFollower:
     ----------
     background : numpy.ndarray, optional
         Mean frame of the dark tube.
-    pair : BundlePair, optional
-        The bundle images.
     """
 
-    def __init__(self, background: NDArray[np.float32] | None = None, pair: BundlePair | None = None) -> None:
-        self._background, self._pair = background, pair
+    def __init__(self, background: NDArray[np.float32] | None = None) -> None:
+        self._background = background
         self._last: SlitOffset | None = None
         self._followed = 0
 
@@ -260,7 +258,7 @@ class OffsetFollower:
         last = self._last if self._followed < SEARCH_INTERVAL_FRAMES else None
         self._followed = 0 if last is None else self._followed + 1
         try:
-            found = measure_offset([frame], self._background, self._pair, near=last)
+            found = measure_offset([frame], self._background, near=last)
         except MeasurementError:
             self._last = None
             raise

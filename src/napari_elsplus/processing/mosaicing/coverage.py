@@ -27,8 +27,6 @@ class Coverage:
         Part of the mosaic that the maps cover.
     radius : float
         Radius of the disc that is used of a frame, pixels of the mosaic.
-    cell_px : int
-        Side of a cell, pixels of the mosaic.
 
     Examples
     --------
@@ -39,9 +37,9 @@ class Coverage:
     ([[1.0, 2.0, 1.0], [1.0, 2.0, 1.0]], [[nan, 0.5, 0.5], [nan, 0.5, 0.5]])
     """
 
-    def __init__(self, part: Rectangle, radius: float, cell_px: int = CELL_PX) -> None:
-        self.part, self._radius, self._cell_px = part, radius, cell_px
-        shape = tuple(ceil(length / cell_px) for length in part.shape)
+    def __init__(self, part: Rectangle, radius: float) -> None:
+        self.part, self._radius = part, radius
+        shape = tuple(ceil(length / CELL_PX) for length in part.shape)
         self._frames, self._scored, self._total = (np.zeros(shape, np.float32) for _ in range(3))
 
     def add(self, centres: NDArray[np.float64], scores: NDArray[np.float64]) -> None:
@@ -55,9 +53,9 @@ class Coverage:
             (m,) float64 correlation of each with the frame that it was registered to; NaN for a first frame.
         """
         corner = np.array([self.part.top, self.part.left], np.float64)
-        cells = (np.asarray(centres, np.float64).reshape(-1, 2) - corner) / self._cell_px - 0.5
+        cells = (np.asarray(centres, np.float64).reshape(-1, 2) - corner) / CELL_PX - 0.5
         stamp_discs(
-            cells, np.ascontiguousarray(scores, np.float64), self._radius / self._cell_px,
+            cells, np.ascontiguousarray(scores, np.float64), self._radius / CELL_PX,
             self._frames, self._scored, self._total,
         )  # fmt: skip
 

@@ -6,7 +6,7 @@ brightness does not fade along a path of many frames.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -28,29 +28,15 @@ ROW_STEP: Final = 2
 """Step of the rows that are compared; chosen: every other row halves the time of a sum over thousands of pixels."""
 
 
-class Overlap(NamedTuple):
-    """Sums over the pixels that a frame shares with the canvas, with the same weights for both.
-
-    Parameters
-    ----------
-    canvas, frame : float
-        Weighted grey levels.
-    weight : float
-        Weights.
-    """
-
-    canvas: float
-    frame: float
-    weight: float
-
-
-def exposure_gain(overlap: Overlap, frame_weight: float) -> float:
+def exposure_gain(canvas: float, frame: float, weight: float, frame_weight: float) -> float:
     """Return the factor that scales a frame to the brightness of what it overlaps.
 
     Parameters
     ----------
-    overlap : Overlap
-        Sums over the pixels that the frame shares with the canvas.
+    canvas, frame : float
+        Sums of grey levels over the pixels that the frame shares with the canvas, with the same weights for both.
+    weight : float
+        Sum of these weights.
     frame_weight : float
         Sum of the weights of the whole frame, over the same rows.
 
@@ -61,14 +47,14 @@ def exposure_gain(overlap: Overlap, frame_weight: float) -> float:
 
     Examples
     --------
-    >>> round(exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=1.0), 2.0), 3)
+    >>> round(exposure_gain(canvas=100.0, frame=80.0, weight=1.0, frame_weight=2.0), 3)
     1.222
-    >>> exposure_gain(Overlap(canvas=100.0, frame=80.0, weight=0.1), 2.0)  # too small an overlap
+    >>> exposure_gain(canvas=100.0, frame=80.0, weight=0.1, frame_weight=2.0)  # too small an overlap
     1.0
     """
-    if overlap.weight < MIN_OVERLAP * frame_weight or not (overlap.canvas > 0 and overlap.frame > 0):
+    if weight < MIN_OVERLAP * frame_weight or not (canvas > 0 and frame > 0):
         return 1.0
-    return float(np.clip(overlap.canvas / overlap.frame, *GAIN_LIMITS) ** _DAMPING)
+    return float(np.clip(canvas / frame, *GAIN_LIMITS) ** _DAMPING)
 
 
 @kernel
@@ -96,7 +82,7 @@ def overlap_sums(
     Returns
     -------
     tuple of float
-        The fields of :class:`Overlap`.
+        `canvas`, `frame` and `weight` of :func:`exposure_gain`.
     """
     image_weight, first, last, centre_row, centre_col, row, col, stretch, shear = footprint
     height, width = value.shape

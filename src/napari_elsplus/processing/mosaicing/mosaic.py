@@ -14,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
-from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, Overlap, exposure_gain, overlap_sums
+from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
@@ -270,7 +270,8 @@ class Mosaic(TiledCanvas):
         for key in touched.tiles():
             tile, at = self._store.tile(*key), tile_rectangle(*key)
             sums += overlap_sums(*tile, at.top, at.left, image, footprint)
-        return exposure_gain(Overlap(*sums.tolist()), self._frame_weight)
+        canvas, frame, weight = sums.tolist()
+        return exposure_gain(canvas, frame, weight, self._frame_weight)
 
 
 @lean_kernel

@@ -12,14 +12,11 @@ from napari_elsplus.processing.mosaicing.tiles import (
     Canvas,
     HeapTiles,
     Rectangle,
-    TileStore,
     copy_tiles,
     tile_rectangle,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
 
@@ -32,13 +29,11 @@ class Pyramid:
         Level 0; the pyramid consumes its dirty rectangles.
     levels : int
         Number of levels, the canvas itself included.
-    new_store : callable
-        Returns an empty tile store, for each level.
     """
 
-    def __init__(self, canvas: Canvas, levels: int, new_store: Callable[[], TileStore] = HeapTiles) -> None:
+    def __init__(self, canvas: Canvas, levels: int) -> None:
         self._canvas = canvas
-        self._stores = [new_store() for _ in range(levels - 1)]
+        self._stores = [HeapTiles() for _ in range(levels - 1)]
         self._half = np.empty((TILE_PX, TILE_PX), np.float32)
         self._count = np.empty((TILE_PX, TILE_PX), np.float32)
 
