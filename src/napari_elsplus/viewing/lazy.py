@@ -63,10 +63,7 @@ class LazyPlanes:
             chosen = [self._plane(k) for k in range(*first.indices(len(self)))]
             stack = np.stack(chosen) if chosen else np.empty((0, *self.shape[1:]), self.dtype)
             return stack[(slice(None), *rest)]
-        index = int(first)
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"plane {index} of {len(self)}")
-        plane: NDArray[Any] = self._plane(index % len(self))[tuple(rest)]
+        plane: NDArray[Any] = self._plane(range(len(self))[int(first)])[tuple(rest)]
         return plane
 
     def dask(self) -> da.Array:

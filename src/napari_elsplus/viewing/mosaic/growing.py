@@ -97,7 +97,7 @@ class GrowingImage:
         if reframed:
             self.frame = frame
             count = _levels_of(frame)
-            self._coarsest = self._read(count - 1, frame)
+            self._coarsest = _read(self._pyramid, count - 1, _halved(frame, count - 1))
             self.levels = [LevelView(self._pyramid, level, frame) for level in range(count - 1)] + [self._coarsest]
         elif dirty:
             self._fill_coarsest(dirty[len(self.levels) - 1])
@@ -112,9 +112,6 @@ class GrowingImage:
     def covered_px(self) -> float:
         """Number of covered pixels, estimated from the last level."""
         return float(np.count_nonzero(np.isfinite(self._coarsest)) << 2 * max(len(self.levels) - 1, 0))
-
-    def _read(self, level: int, part: Rectangle) -> NDArray[np.float32]:
-        return _read(self._pyramid, level, _halved(part, level))
 
     def _fill_coarsest(self, dirty: Rectangle) -> None:
         level = len(self.levels) - 1
