@@ -13,19 +13,14 @@ import numpy as np
 
 from napari_elsplus import __version__
 from napari_elsplus.io import (
-    ImageMetadata,
     RecordingWriter,
     open_recording,
     refuse_existing,
     write_calibration,
     write_json,
-    write_mosaic,
-    write_stack,
-    write_track,
 )
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.accuracy import (
     TrackErrors,
@@ -38,12 +33,12 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
+from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.progress import Progress, without_display
-from napari_elsplus.workflows.sectioning import RawPairs, SectionedImages
-from napari_elsplus.workflows.tracking import Pipeline
+from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -186,27 +181,18 @@ def _process(
     um_per_px : float or None
         Of the mosaics.
     """
-    optics = stage.instrument.optics
     tracks, mosaics = {}, {}
-    known = ImageMetadata(um_per_px=optics.um_per_px, frame_period_s=optics.frame_period_s, calibration=calibration)
     with open_recording(stage.folder / "recording.ome.tif") as recording:
         for mode in (Mode.LS, Mode.RESIDUAL, Mode.ELS):
-            images = SectionedImages(recording[:SHOWN_FRAMES], calibration, mode)
-            write_stack(stage.folder / f"{mode.value}.ome.tif", images, known, force=stage.force)
+            images = section(recording[:SHOWN_FRAMES], calibration, mode)
+            images.save(stage.folder / f"{mode.value}.ome.tif", force=stage.force)
         path = trajectory("spiral", speed_um_s=SPEED_UM_S)
         true_px = np.array(motion(stage.instrument, path, len(recording))["positions_mid"])
-        for mode in (Mode.LS, Mode.ELS):
-            pipeline = Pipeline(calibration, stage.instrument.frame_shape, mode)
-            for k in stage.progress(range(len(recording)), f"mosaic of {mode.value}"):
-                pipeline.track(recording[k], k, k * optics.frame_period_s)
-            pipeline.finish(RawPairs(recording, mode))
-            tracks[mode] = track_errors(pipeline.rows, true_px)
-            mosaics[mode] = montage(list(pipeline.mosaics.values()))
-            target = stage.folder / f"mosaic_{mode.value}.ome.tif"
-            scaled = ImageMetadata(um_per_px=pipeline.um_per_px, calibration=calibration)
-            write_mosaic(target, mosaics[mode], scaled, force=stage.force)
-    write_track(stage.folder / "track.csv", pipeline.rows, force=stage.force)
-    return tracks, mosaics, pipeline.um_per_px
+        for mode, track in ((Mode.LS, None), (Mode.ELS, stage.folder / "track.csv")):
+            made = mosaic(recording, calibration, mode, progress=stage.progress)
+            made.save(stage.folder / f"mosaic_{mode.value}.ome.tif", track, force=stage.force)
+            tracks[mode], mosaics[mode] = track_errors(made.track, true_px), made.image
+    return tracks, mosaics, made.um_per_px
 
 
 def _sectioning(stage: _Stage, calibration: Calibration) -> dict[str, float]:
