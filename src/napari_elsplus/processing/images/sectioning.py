@@ -179,27 +179,21 @@ class Sectioner:
         out : numpy.ndarray, optional
             (n, n) float32, filled and returned.
         """
-        ls = self._array(out)
-        self.fill(raw, raw, ls=ls)
-        return ls
+        return self.section(raw, raw, Mode.LS, out)
 
     def residual(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the residual view of a raw frame, aligned and divided by its gain; arguments as in :meth:`ls`."""
-        residual = self._array(out)
-        self.fill(raw, raw, residual=residual)
-        return residual
+        return self.section(raw, raw, Mode.RESIDUAL, out)
 
     def els(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return ELS+ of a raw frame, exactly ``ls(raw) - residual(raw)``; arguments as in :meth:`ls`."""
-        return self.elsa(raw, raw, out)
+        return self.section(raw, raw, Mode.ELS, out)
 
     def elsa(
         self, raw: NDArray[np.generic], raw_next: NDArray[np.generic], out: NDArray[np.float32] | None = None
     ) -> NDArray[np.float32]:
         """Return sequential ELS: confocal view of `raw` minus residual view of `raw_next`; see :meth:`ls`."""
-        difference = self._array(out)
-        self.fill(raw, raw_next, els=difference)
-        return difference
+        return self.section(raw, raw_next, Mode.ELSA, out)
 
     def fill(
         self,
@@ -252,16 +246,15 @@ class Sectioner:
         out : numpy.ndarray, optional
             (n, n) float32, filled and returned.
         """
+        image = np.empty((self.side, self.side), np.float32) if out is None else out
         match mode:
             case Mode.LS:
-                return self.ls(raw, out)
+                self.fill(raw, raw, ls=image)
             case Mode.RESIDUAL:
-                return self.residual(raw_residual, out)
+                self.fill(raw_residual, raw_residual, residual=image)
             case Mode.ELS | Mode.ELSA:
-                return self.elsa(raw, raw_residual, out)
-
-    def _array(self, out: NDArray[np.float32] | None) -> NDArray[np.float32]:
-        return np.empty((self.side, self.side), np.float32) if out is None else out
+                self.fill(raw, raw_residual, els=image)
+        return image
 
 
 class _View:
