@@ -21,13 +21,19 @@ import hashlib
 import importlib.util
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import sysconfig
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 OLDEST_PYTHON = (3, 11)
 INTERRUPTED = 130
@@ -37,24 +43,44 @@ VENV = ROOT / ".venv"
 STAMP = VENV / "elsplus-stamp.json"
 DEMO = ROOT / "elsplus-demo"
 
-NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET")
-"""Variables that would make the .venv import, or install into, other places than itself."""
+NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET", "PYTHONDONTWRITEBYTECODE")
+"""Variables that would make the .venv import, or install into, other places than itself, or compile at every start."""
 
 EXTRAS = "pyqt,video,zarr,batch,genicam"
 PURE = (
-    "tests/benchmarks/documents",
-    "tests/benchmarks/harness",
-    "tests/benchmarks/imperfect",
-    "tests/benchmarks/rigs",
-    "tests/benchmarks/studies",
+    "tests/acquisition/mosaic",
+    "tests/benchmarks",
     "tests/cli/files",
+    "tests/hardware/scan",
     "tests/instrument",
     "tests/io",
     "tests/processing",
     "tests/simulation",
+    "tests/test_architecture.py",
     "tests/workflows",
 )
-"""Tests of computation alone, with no window, device or clock: these run in two processes, the others in turn."""
+"""Tests of computation alone, with no window, device or clock: two processes share them, and the doctests."""
+PATIENT = (
+    "tests/acquisition/calibrating",
+    "tests/cli/rig/test_calibrate.py",
+    "tests/examples/test_examples.py",
+    "tests/test_reader.py",
+    "tests/test_readme.py",
+    "tests/test_sample_data.py",
+    "tests/test_window.py",
+    "tests/test_writer.py",
+    "tests/viewing",
+    "tests/widgets/analysis",
+    "tests/widgets/dock",
+    "tests/widgets/mosaic",
+    "tests/widgets/shared",
+    "tests/widgets/test_bundle_layers.py",
+    "tests/widgets/test_calibration.py",
+)
+"""Tests of windows and simulated rigs whose time limits are tens of seconds: on virtual screens they are shared, too.
+
+All others, which judge times or devices, run in turn, and nothing beside them.
+"""
 WINDOW_LIBRARIES = {
     "libdbus-1-3": "libdbus-1.so.3",
     "libegl1": "libEGL.so.1",
@@ -115,6 +141,23 @@ def run(command: list[str], folder: Path = ROOT, **more_environment: str) -> int
     finally:
         signal.signal(signal.SIGTERM, before)
     return code if code >= 0 else 128 - code  # as a shell counts a child that a signal ended
+
+
+@contextmanager
+def beside(command: list[str], codes: dict[str, int], name: str, **more_environment: str) -> Iterator[None]:
+    """Run a command while the body of the `with` does its work; then print what it said, and note its exit code."""
+    with tempfile.TemporaryFile() as output:
+        child = subprocess.Popen(
+            command, cwd=str(ROOT), env=environment(**more_environment), stdout=output, stderr=subprocess.STDOUT
+        )
+        try:
+            yield
+            codes[name] = child.wait()
+        finally:
+            child.kill()
+            child.wait()
+        output.seek(0)
+        say(f"== {name}\n{output.read().decode(errors='replace')}".rstrip())
 
 
 def must(what: str, command: list[str], **more_environment: str) -> None:
@@ -272,27 +315,32 @@ def test(everything: bool) -> int:
     """Lint, types, manifest and tests; every step runs, and the first failure gives the exit code."""
     prepare("lint", "test")
     pytest = [python(), "-m", "pytest", "--durations=15", *([] if everything else ["-m", "not slow"])]
-    in_parallel = [*pytest, "--numprocesses=2", "--dist=loadfile", *PURE]
-    in_turn = [*pytest, *(f"--ignore={folder}" for folder in PURE)]
+    shared, workers, screen = PURE, ["--numprocesses=2"], []
     if sys.platform.startswith("linux") and not screen_answers():
         missing = missing_packages(virtual_screen=True)
         if missing:
             system_packages(missing, "testing the windows")
-        in_turn = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24", *in_turn]
+        screen = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24"]
+        shared, workers = PURE + PATIENT, ["--tx=2*popen//python=" + shlex.join([*screen, python()])]
+    in_two = [*pytest, *workers, "--dist=loadfile", "src", *shared]
+    in_turn = [*screen, *pytest, "tests", *(f"--ignore={path}" for path in shared)]
     steps = (
         ("ruff check", [python(), "-m", "ruff", "check", "."]),
         ("ruff format", [python(), "-m", "ruff", "format", "--check", "."]),
-        ("mypy", [python(), "-m", "mypy"]),
         ("npe2 validate", [python(), "-m", "npe2", "validate", "--imports", "napari-elsplus"]),
-        ("pytest in two processes", in_parallel),
-        ("pytest", in_turn),
     )
     codes = {}
     with tempfile.TemporaryDirectory() as folder:
-        settings = str(Path(folder, "settings.yaml"))
+        more = {"NAPARI_CONFIG": str(Path(folder, "settings.yaml")), "NAPARI_STRICT_QT": "1"}
+        more["ELSPLUS_TEST_CACHE"] = str(Path(folder, "cache"))  # the simulated rig is calibrated and rendered once
         for name, command in steps:
             say(f"== {name}")
-            codes[name] = run(command, NAPARI_CONFIG=settings, NAPARI_STRICT_QT="1")
+            codes[name] = run(command, **more)
+        say("== pytest in two processes, with mypy beside them")
+        with beside([python(), "-m", "mypy"], codes, "mypy", **more):
+            codes["pytest in two processes"] = run(in_two, OMP_NUM_THREADS="1", **more)
+        say("== pytest in turn")
+        codes["pytest in turn"] = run(in_turn, **more)
     failed = [name for name, code in codes.items() if code]
     if failed:
         raise Stop(f"run.py: failed: {', '.join(failed)}", codes[failed[0]])

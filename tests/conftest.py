@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -32,6 +35,20 @@ def open_recording(data_folder: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def _settings_of_their_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test reads or writes the settings of whoever runs it."""
+    """No test reads or writes the settings of whoever runs it; frames of the simulated rig are made for all."""
     monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path_factory.mktemp("settings")))
-    monkeypatch.setenv("ELSPLUS_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+    cache = os.environ.get("ELSPLUS_TEST_CACHE", tmp_path_factory.getbasetemp() / "cache")
+    monkeypatch.setenv("ELSPLUS_CACHE", str(cache))
+
+
+@pytest.fixture(scope="module")
+def _old_objects_are_left_alone() -> None:
+    """napari and its fixtures often collect garbage; whatever was imported is not looked through each time."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture
+def make_napari_viewer(_old_objects_are_left_alone: None, make_napari_viewer: Callable[..., Any]) -> Callable[..., Any]:
+    """napari's own."""
+    return make_napari_viewer

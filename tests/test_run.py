@@ -11,6 +11,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
@@ -42,6 +44,11 @@ class Recorder:
             Path(self.module.python()).touch()
         return 3 if self.failing and self.failing in command else 0
 
+    @contextmanager
+    def beside(self, command: list[str], codes: dict[str, int], name: str, **environment: str) -> Iterator[None]:
+        codes[name] = self(command, **environment)
+        yield
+
     def said(self) -> list[str]:
         return [" ".join(command) for command in self.commands]
 
@@ -70,6 +77,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def recorder(run: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Recorder:
     recorder = Recorder(run)
     monkeypatch.setattr(run, "run", recorder)
+    monkeypatch.setattr(run, "beside", recorder.beside)
     return recorder
 
 
@@ -182,7 +190,7 @@ def test_an_interrupted_addition_leaves_no_stamp(run: ModuleType, recorder: Reco
 
 
 def test_children_do_not_see_what_leads_them_out_of_the_venv(run: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET"):
+    for name in ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET", "PYTHONDONTWRITEBYTECODE"):
         monkeypatch.setenv(name, "elsewhere")
     assert "elsewhere" not in run.environment().values()
     assert run.environment(NAPARI_CONFIG="here")["NAPARI_CONFIG"] == "here"
@@ -250,14 +258,50 @@ def test_tests_run_every_check(arguments: list[str], selects: bool, run: ModuleT
     assert not Path(recorder.environments[-1]["NAPARI_CONFIG"]).exists()
 
 
-def test_every_test_runs_once_in_two_processes_or_in_turn(run: ModuleType, recorder: Recorder) -> None:
+@pytest.mark.parametrize("screen", [True, False])
+def test_every_test_runs_once_in_two_processes_or_in_turn(
+    screen: bool, run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run.sys, "platform", "linux")
+    monkeypatch.setattr(run, "screen_answers", lambda: screen)
     run.main(["test"])
-    in_parallel, in_turn = recorder.commands[-2:]
-    assert "--numprocesses=2" in in_parallel
-    for folder in run.PURE:
-        assert (PROJECT / folder).is_dir()
-        assert folder in in_parallel
-        assert f"--ignore={folder}" in in_turn
+    in_two, in_turn = recorder.commands[-2:]
+    assert recorder.environments[-2]["OMP_NUM_THREADS"] == "1"
+    assert recorder.environments[-2]["ELSPLUS_TEST_CACHE"] == recorder.environments[-1]["ELSPLUS_TEST_CACHE"]
+    assert "OMP_NUM_THREADS" not in recorder.environments[-1]
+    assert ("src" in in_two, "tests" in in_turn) == (True, True)
+    (workers,) = (word for word in in_two if word.startswith(("--numprocesses=2", "--tx=2*")))
+    assert ("xvfb-run" in workers) != screen
+    for path in run.PURE + run.PATIENT:
+        assert (PROJECT / path).exists()
+        shared = path in run.PURE or not screen  # on a screen, windows would take the keyboard from each other
+        assert ((path in in_two), (f"--ignore={path}" in in_turn)) == (shared, shared)
+
+
+def test_tests_of_times_devices_and_safety_have_the_computer_alone(run: ModuleType) -> None:
+    alone = "acquisition/engine", "acquisition/link", "acquisition/streaming", "hardware/daq", "safety", "widgets/live"
+    for folder in alone:
+        for test in (PROJECT / "tests" / folder).rglob("test_*.py"):
+            assert not [path for path in run.PURE + run.PATIENT if test.is_relative_to(PROJECT / path)]
+
+
+def test_what_runs_beside_is_told_at_its_end_with_its_exit_code(
+    run: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    codes: dict[str, int] = {}
+    command = [sys.executable, "-c", "import os; print(os.environ['WORD']); raise SystemExit(4)"]
+    with run.beside(command, codes, "types", WORD="told"):
+        run.say("meanwhile")
+    assert codes == {"types": 4}
+    assert capsys.readouterr().out == "meanwhile\n== types\ntold\n"
+
+
+def test_what_runs_beside_ends_with_an_interruption(run: ModuleType) -> None:
+    begun_s = time.monotonic()
+    sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
+    with pytest.raises(KeyboardInterrupt), run.beside(sleeping, {}, "types"):
+        raise KeyboardInterrupt
+    assert time.monotonic() - begun_s < 30
 
 
 def test_one_check_that_fails_does_not_hide_the_others(

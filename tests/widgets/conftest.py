@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import time
@@ -27,13 +26,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if "widgets" in item.path.parts:
                 item.add_marker(pytest.mark.skip("no screen, and Qt would end the whole run: start under xvfb-run"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _old_objects_are_left_alone() -> None:
-    """napari collects garbage whenever a layer goes; whatever was imported is not looked through each time."""
-    gc.collect()
-    gc.freeze()
 
 
 class Clients(list[EngineClient]):
