@@ -344,7 +344,7 @@ def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot,
     other = known.model_copy(update={"optics": known.optics.model_copy(update={"um_per_px": 2.0})})
     steps.load(write_calibration(tmp_path / "other.json", other))
     qtbot.waitUntil(lambda: rig.connection.client.calibration == other, timeout=30_000)
-    assert rig.connection.calibration_file == tmp_path / "other.json"
+    qtbot.waitUntil(lambda: rig.connection.calibration_file == tmp_path / "other.json", timeout=30_000)
     steps.undo()
     qtbot.waitUntil(lambda: rig.connection.client.calibration == known, timeout=30_000)
     rig.save(tmp_path / "saved.json")
