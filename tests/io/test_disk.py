@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.io import disk
-from napari_elsplus.io.disk import BLOCK_BYTES, SpanWriter
+from napari_elsplus.io.disk import SpanWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 PAGE = mmap.PAGESIZE
+BLOCK_BYTES = 1 << 20
+"""Instead of 16 MB: what counts are the ends of blocks."""
 BEFORE = np.random.default_rng(5).integers(0, 256, 3 * BLOCK_BYTES, np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disk, "BLOCK_BYTES", BLOCK_BYTES)
 
 
 def written(path: Path, start: int, arrays: Sequence[NDArray[np.uint8]]) -> None:
@@ -102,16 +109,18 @@ def test_what_could_not_be_written_is_told_though_later_blocks_could(
     assert places[0] == 0
 
 
-def test_an_array_may_be_reused_as_soon_as_it_was_given(tmp_path: Path) -> None:
+def test_an_array_may_be_reused_as_soon_as_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    block_bytes = 16 << 20  # large blocks are longer on their way
+    monkeypatch.setattr(disk, "BLOCK_BYTES", block_bytes)
     path = tmp_path / "a.bin"
     path.write_bytes(b"")
-    values = np.empty(BLOCK_BYTES, np.uint8)
+    values = np.empty(block_bytes, np.uint8)
     with SpanWriter(path, 0) as writer:
         for number in range(12):
             values[:] = number
             writer.write(values)
     found = np.fromfile(path, np.uint8).reshape(12, -1)
-    np.testing.assert_array_equal(found, np.repeat(np.arange(12, dtype=np.uint8)[:, None], BLOCK_BYTES, axis=1))
+    np.testing.assert_array_equal(found, np.repeat(np.arange(12, dtype=np.uint8)[:, None], block_bytes, axis=1))
 
 
 def test_systems_without_direct_writing_write_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
