@@ -265,9 +265,11 @@ def test_every_test_runs_once_in_two_processes_or_in_turn(
     monkeypatch.setattr(run.sys, "platform", "linux")
     monkeypatch.setattr(run, "screen_answers", lambda: screen)
     run.main(["test"])
-    in_two, in_turn = recorder.commands[-2:]
+    _, types, live, _, in_two, in_turn = recorder.commands[-6:]
+    assert (types[-1], live[1]) == ("mypy", "acquire")
+    cache = recorder.environments[-4]["ELSPLUS_CACHE"]
     assert recorder.environments[-2]["OMP_NUM_THREADS"] == "1"
-    assert recorder.environments[-2]["ELSPLUS_TEST_CACHE"] == recorder.environments[-1]["ELSPLUS_TEST_CACHE"]
+    assert {environment["ELSPLUS_TEST_CACHE"] for environment in recorder.environments[-2:]} == {cache}
     assert "OMP_NUM_THREADS" not in recorder.environments[-1]
     assert ("src" in in_two, "tests" in in_turn) == (True, True)
     (workers,) = (word for word in in_two if word.startswith(("--numprocesses=2", "--tx=2*")))
