@@ -1,6 +1,8 @@
 """Frames of the bench, cheap enough for real time: those of a closed path are rendered once and played again.
 
-Those of a moving probe are remembered between starts, too (:mod:`remembered_frames`).
+Where the specimen bleaches no frame recurs, but the light on the cores does, apart from what is lost: it is computed
+once, and each frame has pixels and noise of its own. What belongs to a moving probe is remembered between starts, too
+(:mod:`remembered_frames`).
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
     Frame = NDArray[np.uint8]
+    Light = NDArray[np.float32]
 
 SAME_LINE_ROWS: Final = 0.05
 """Rows; lines that differ by less give the same frame to within its noise (chosen: a sixtieth of the smallest slit)."""
@@ -67,16 +70,22 @@ class FrameSource:
     seed : int
         Seed of the noise.
     ahead : bool
-        Keep frames that recur.
+        Keep what recurs.
     """
 
     def __init__(self, instrument: Instrument, scene: Scene, trajectory: Trajectory, seed: int, *, ahead: bool) -> None:
         self._made_for = (instrument, scene, trajectory)
         self._renderer = Renderer(instrument, scene, trajectory, seed=seed)
-        recurs = ahead and not instrument.imperfections.bleaching_percent
+        self._bleaches = bool(instrument.imperfections.bleaching_percent) and not scene.transmission
+        moves = not isinstance(trajectory, Still)
+        recurs = ahead and (moves or not self._bleaches)  # at rest, light is known from the frame before
         rounds = _frames_per_round(trajectory, instrument.optics.frame_rate_hz) if recurs else 0
-        self._key = "" if isinstance(trajectory, Still) or not rounds else frames_key(*self._made_for, seed)
-        self._kept = np.empty((rounds, *instrument.frame_shape), np.uint8)
+        self._key = frames_key(*self._made_for, seed) if moves and rounds else ""
+        self._kept: Frame | Light
+        if self._bleaches:
+            self._kept = np.empty((rounds, *self._renderer.light_shape), np.float32)
+        else:
+            self._kept = np.empty((rounds, *instrument.frame_shape), np.uint8)
         self._is_kept = np.zeros(rounds, bool)
         self._rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
         self._before = self._kept_for = np.full_like(self._rows, np.inf)
@@ -89,14 +98,14 @@ class FrameSource:
         return self._made_for == (instrument, scene, trajectory)
 
     def render_ahead(self, line_rows: NDArray[np.float64]) -> None:
-        """Recall or render the frames that recur while the line is on `line_rows`; at least one, to compile all."""
+        """Recall or render what recurs while the line is on `line_rows`; at least one frame, to compile all."""
         seen = self._seen(line_rows)
         self._renderer.render(0, line_rows=seen)
         if len(self._kept) and not _alike(seen, self._kept_for):
             self._keep_for(seen)
         if self._is_kept.all():
             return
-        recalled = recall_frames(self._key, self._kept, partial(_alike, seen)) if self._key else None
+        recalled = recall_frames(self._key, self._kept, len(seen), partial(_alike, seen)) if self._key else None
         if recalled is not None:
             self._kept = recalled
             self._is_kept[:] = True
@@ -109,7 +118,7 @@ class FrameSource:
     def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
         """Fill a frame; outside both images the line's row does not matter.
 
-        While the line moves alike in every frame, frames are kept, and copied from memory when they recur.
+        While the line moves alike in every frame, what recurs is kept, and taken from memory when it does.
 
         Parameters
         ----------
@@ -131,20 +140,26 @@ class FrameSource:
         place = frame % len(self._kept)
         if not self._is_kept[place]:
             self._keep(place)
-        np.copyto(out, self._kept[place])
+        if self._bleaches:
+            self._renderer.render(frame, out, light=self._kept[place])
+        else:
+            np.copyto(out, self._kept[place])
 
     def _seen(self, line_rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the line's rows, those where they do not matter as of an ideal scan."""
         return np.where(self._dark, self._rows, line_rows)
 
     def _keep_for(self, seen: NDArray[np.float64]) -> None:
-        """Keep frames for a line on `seen` from now on."""
+        """Keep what recurs while the line is on `seen` from now on."""
         self._before = self._kept_for = seen
         self._is_kept[:] = False
 
     def _keep(self, place: int) -> None:
-        """Render a frame that recurs."""
-        self._renderer.render(place, self._kept[place], line_rows=self._kept_for)
+        """Render a frame that recurs, or the light of those that differ by bleaching and noise alone."""
+        if self._bleaches:
+            self._renderer.core_light(place, self._kept[place], line_rows=self._kept_for)
+        else:
+            self._renderer.render(place, self._kept[place], line_rows=self._kept_for)
         self._is_kept[place] = True
 
 

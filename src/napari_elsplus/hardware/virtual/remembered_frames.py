@@ -1,4 +1,4 @@
-"""Frames of a probe on a closed path, remembered between starts in the user's cache folder.
+"""Frames of a probe on a closed path, or the light of each, remembered between starts in the user's cache folder.
 
 They are mapped into memory, which is quicker than to render them. The folder may be deleted at any time.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Frames = NDArray[np.uint8]
+    Frames = NDArray[np.uint8] | NDArray[np.float32]
     Rows = NDArray[np.float64]
 
 MAX_FILES: Final = 3
@@ -37,7 +37,7 @@ def frames_key(*made_of: Any) -> str:
     return hashlib.sha256(software_fingerprint().encode() + pickle.dumps(made_of)).hexdigest()[:16]
 
 
-def recall_frames(key: str, like: Frames, rows_alike: Callable[[Rows], bool]) -> Frames | None:
+def recall_frames(key: str, like: Frames, rows: int, rows_alike: Callable[[Rows], bool]) -> Frames | None:
     """Map remembered frames into memory, copied when written to; None if there are none, or they cannot be read.
 
     Parameters
@@ -45,16 +45,18 @@ def recall_frames(key: str, like: Frames, rows_alike: Callable[[Rows], bool]) ->
     key : str
         From :func:`frames_key`.
     like : numpy.ndarray
-        (frames, rows, cols) uint8 of the shape that is expected.
+        Frames of shape and dtype that are expected: (frames, rows, cols) uint8, or light of any shape, float32.
+    rows : int
+        Rows of a frame.
     rows_alike : callable
         Returns True if frames for such line positions (rows,) are the right ones.
     """
     for path in _folder().glob(f"frames-{key}-*.npy"):
         with suppress(OSError, ValueError, EOFError), path.open("rb") as file:
             line_rows = np.load(file)
-            if line_rows.shape == like.shape[1:2] and rows_alike(line_rows):
-                frames = np.memmap(file, np.uint8, "c", file.tell(), like.shape)
-                frames.reshape(-1)[:: mmap.PAGESIZE].max()  # so that no page is read from the disk while frames stream
+            if line_rows.shape == (rows,) and rows_alike(line_rows):
+                frames = np.memmap(file, like.dtype, "c", file.tell(), like.shape)
+                frames.reshape(-1)[:: mmap.PAGESIZE // like.itemsize].max()  # no page is read while frames stream
                 path.touch()
                 return np.asarray(frames)
     return None

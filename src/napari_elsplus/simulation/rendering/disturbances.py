@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.simulation.rendering.sensor import GAIN_UNIT
 from napari_elsplus.simulation.rendering.views import views
 
 if TYPE_CHECKING:
@@ -31,18 +32,37 @@ _WAVES: Final = 12
 class Readout(NamedTuple):
     """Deviations of one frame's readout: arguments of :func:`napari_elsplus.simulation.rendering.sensor.expose`.
 
-    ``row_power`` and ``row_black_dn`` are (rows,), ``pixel_gain`` and ``pixel_dark_dn`` (rows, cols), float32; all are
-    None where there are none. ``ghost`` is the share of the light in a reflection.
+    ``row_power`` and ``row_black_dn`` are (rows,) float32, ``pixel_gain`` (rows, cols) uint16 in units of
+    :data:`napari_elsplus.simulation.rendering.sensor.GAIN_UNIT`. Hot pixels are listed row after row: row r has those
+    from ``hot_first[r]`` to ``hot_first[r + 1] - 1``, in columns ``hot_column``, with a dark signal ``hot_dn`` in grey
+    levels. All are None where there are none. ``ghost`` is the share of the light in a reflection.
     """
 
     row_power: Values | None = None
     row_black_dn: Values | None = None
-    pixel_gain: Values | None = None
-    pixel_dark_dn: Values | None = None
+    pixel_gain: NDArray[np.uint16] | None = None
+    hot_first: NDArray[np.int64] | None = None
+    hot_column: NDArray[np.int64] | None = None
+    hot_dn: Values | None = None
     ghost: float = 0.0
 
 
 UNDISTURBED: Final = Readout()
+
+
+class Fading(NamedTuple):
+    """Losses of one frame's light: arguments of :func:`napari_elsplus.simulation.rendering.sampling.fade_cores`.
+
+    ``left`` is the part of the specimen's fluorescence that is not bleached. The cores' transmission changes by the
+    part ``bending`` of ``bent``, (cores,) float32, which is empty where the bundle does not bend.
+    """
+
+    left: float
+    bending: float
+    bent: Values
+
+
+UNFADED: Final = Fading(1.0, 0.0, np.empty(0, np.float32))
 
 
 class Disturbances:
@@ -74,6 +94,14 @@ class Disturbances:
             or given.ghost_percent
         )
 
+    @cached_property
+    def _pixel_patterns(self) -> tuple[NDArray[np.uint16], NDArray[np.int64], NDArray[np.int64], Values]:
+        return _pixel_patterns(self._instrument)  # to look it up there takes as long as to draw a frame's numbers
+
+    @cached_property
+    def _bending_pattern(self) -> Values:
+        return _bending_pattern(self._instrument)
+
     @property
     def _imperfections(self) -> Imperfections:
         return self._instrument.imperfections
@@ -84,8 +112,8 @@ class Disturbances:
         if not self._of_camera:
             return UNDISTURBED
         black = self._rng(_ROW_NOISE, frame_index).normal(0, given.row_noise_dn, rows)
-        patterns = _pixel_patterns(self._instrument)
-        return Readout(self._power(frame_index), black.astype(np.float32), *patterns, given.ghost_percent / 100)
+        ghost = given.ghost_percent / 100
+        return Readout(self._power(frame_index), black.astype(np.float32), *self._pixel_patterns, ghost)
 
     def jitter_rows(self, frame_index: int) -> float:
         """Return the rows by which the laser line is lower in a frame, by the frame's index; 0 in a lamp's light."""
@@ -94,28 +122,22 @@ class Disturbances:
             return 0.0
         return float(self._rng(_JITTER, frame_index).normal(0, sigma_rows))
 
-    def fade(self, values: Values, of_bundle: Values, frame_index: int, positions_um: Rows) -> None:
-        """Apply bleaching and the bending of the bundle to the grey levels of one view's cores, in place.
+    def fading(self, frame_index: int, positions_um: Rows) -> Fading:
+        """Return what bleaching and the bending of the bundle take from a frame's light.
 
         Parameters
         ----------
-        values : numpy.ndarray
-            (cores,) grey levels.
-        of_bundle : numpy.ndarray
-            (cores,) their part that is the bundle's own light, which does not bleach here.
         frame_index : int
             Index of the frame.
         positions_um : numpy.ndarray
             (rows, 2) position of the probe while each row is read.
         """
-        lost = self._imperfections.bleaching_percent / 100
-        if lost and self._laser:
-            values -= of_bundle
-            values *= np.float32((1 - lost) ** (frame_index / 100))
-            values += of_bundle
-        if self._imperfections.bundle_bending_percent:
-            moved_um = np.hypot(*positions_um[len(positions_um) // 2])
-            values *= (1 + np.tanh(moved_um / BENT_AT_UM) * _bending_pattern(self._instrument)).astype(np.float32)
+        given = self._imperfections
+        left = (1 - given.bleaching_percent / 100) ** (frame_index / 100) if self._laser else 1.0
+        if not given.bundle_bending_percent:
+            return UNFADED._replace(left=left)
+        moved_um = np.hypot(*positions_um[len(positions_um) // 2])
+        return Fading(left, float(np.tanh(moved_um / BENT_AT_UM)), self._bending_pattern)
 
     def _power(self, frame_index: int) -> Values:
         """Mean power of the laser over each row's exposure, relative to its mean."""
@@ -138,24 +160,30 @@ class Disturbances:
 
 
 @lru_cache(maxsize=2)
-def _pixel_patterns(instrument: Instrument) -> tuple[Values, Values]:
-    """Return gain and dark signal of each pixel, (rows, cols)."""
+def _pixel_patterns(
+    instrument: Instrument,
+) -> tuple[NDArray[np.uint16], NDArray[np.int64], NDArray[np.int64], Values]:
+    """Return the gain of each pixel, (rows, cols), and the hot pixels as fields of `Readout`."""
     given, shape = instrument.imperfections, instrument.frame_shape
-    gain = _pattern_rng(instrument, _PRNU).normal(1, given.prnu_percent / 100, shape).astype(np.float32)
+    gain = _pattern_rng(instrument, _PRNU).normal(1, given.prnu_percent / 100, shape)
     rng = _pattern_rng(instrument, _HOT)
     hot = rng.random(shape, np.float32) < given.hot_pixels_percent / 100
-    return np.maximum(gain, 0), np.where(hot, rng.uniform(*HOT_DN, shape), 0).astype(np.float32)
+    dark_dn = rng.uniform(*HOT_DN, shape)[hot].astype(np.float32)
+    first = np.concatenate([[0], np.cumsum(hot.sum(1))])
+    units = np.clip(np.round(gain / GAIN_UNIT), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+    return units, first.astype(np.int64), np.nonzero(hot)[1].astype(np.int64), dark_dn
 
 
 @lru_cache(maxsize=2)
-def _bending_pattern(instrument: Instrument) -> Rows:
+def _bending_pattern(instrument: Instrument) -> Values:
     """Return the relative change of each core's transmission by a bent bundle: one half by core, one half smooth."""
     (cores, *_), rng = views(instrument), _pattern_rng(instrument, _BENDING)
     places = np.stack([cores.rows_um, cores.cols_um]) / instrument.bundle.radius_um
     waves = np.cos(rng.uniform(-3, 3, (_WAVES, 2)) @ places + rng.uniform(0, 2 * np.pi, (_WAVES, 1))).sum(0)
     alone = rng.normal(size=len(waves))
     mixed = (waves - waves.mean()) / waves.std() + alone
-    return np.asarray(np.clip(instrument.imperfections.bundle_bending_percent / 100 * mixed / np.sqrt(2), -0.9, None))
+    changes = instrument.imperfections.bundle_bending_percent / 100 * mixed / np.sqrt(2)
+    return np.asarray(np.clip(changes, -0.9, None), np.float32)
 
 
 def _pattern_rng(instrument: Instrument, kind: int) -> np.random.Generator:

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.rendering.scan import CoreLight
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.rendering.scan import Scan
+    from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
     from napari_elsplus.simulation.rendering.views import BundleView
 
     Rows = NDArray[np.float64]
@@ -45,6 +45,20 @@ class ViewsLight(NamedTuple):
     shifts_um: tuple[tuple[float, float], ...]
 
 
+class MixedLight(NamedTuple):
+    """Light between two jitters of the line, at a share of the way from the first to the second."""
+
+    first: ViewsLight
+    second: ViewsLight
+    share: float
+
+    @property
+    def shifts_um(self) -> Iterator[tuple[float, float]]:
+        """Smallest and largest shift along the rows of each term, um."""
+        for one, other in zip(self.first.shifts_um, self.second.shifts_um, strict=True):
+            yield min(one[0], other[0]), max(one[1], other[1])
+
+
 class LineLight:
     """Light on the cores of both views by the positions of the line.
 
@@ -67,10 +81,9 @@ class LineLight:
         self._line_rows: Rows | None = None
         self._steps: dict[int, ViewsLight] = {}
         self._frames = 0
-        self._mixed: ViewsLight | None = None
 
-    def at(self, line_rows: Rows | None, jitter_rows: float) -> ViewsLight:
-        """Return the light of a frame; that of an interpolated jitter is overwritten by the next call.
+    def at(self, line_rows: Rows | None, jitter_rows: float) -> MixedLight:
+        """Return the light of a frame.
 
         Parameters
         ----------
@@ -89,15 +102,15 @@ class LineLight:
             raise InputError(problem, f"give one for each of {len(self._ideal)} rows")
         self._follow(line_rows)
         if not jitter_rows:
-            return self._computed(0)
+            light = self._computed(0)
+            return MixedLight(light, light, 0.0)
         self._frames += 1
         if not self._interpolates or self._frames <= COMPUTED_FRAMES:
-            return self._light(jitter_rows)
+            light = self._light(jitter_rows)
+            return MixedLight(light, light, 0.0)
         below = int(np.floor(jitter_rows / JITTER_STEP_ROWS))
-        steps = self._computed(below), self._computed(below + 1)
-        if self._mixed is None:
-            self._mixed = ViewsLight(tuple(CoreLight(*map(np.empty_like, view)) for view in steps[0].views), ())
-        return _between(*steps, jitter_rows / JITTER_STEP_ROWS - below, self._mixed)
+        share = jitter_rows / JITTER_STEP_ROWS - below
+        return MixedLight(self._computed(below), self._computed(below + 1), share)
 
     def _follow(self, line_rows: Rows | None) -> None:
         """Discard what was computed if the line positions differ from those before."""
@@ -124,14 +137,3 @@ class LineLight:
 
 def _same(a: Rows, b: Rows) -> bool:
     return np.array_equal(a, b) or bool(np.allclose(a, b, rtol=0, atol=SAME_LINE_ROWS, equal_nan=True))
-
-
-def _between(first: ViewsLight, second: ViewsLight, share: float, out: ViewsLight) -> ViewsLight:
-    """Return the light between two jitters, at a share of the step from the first to the second, in arrays of `out`."""
-    for one, other, mixed in zip(first.views, second.views, out.views, strict=True):
-        for a, b, between in zip(one, other, mixed, strict=True):
-            if between.size:
-                flat = (a.reshape(1, -1), b.reshape(1, -1), between.reshape(1, -1))
-                cv2.addWeighted(flat[0], 1 - share, flat[1], share, 0, dst=flat[2])
-    bounds = zip(first.shifts_um, second.shifts_um, strict=True)
-    return ViewsLight(out.views, tuple((min(a[0], b[0]), max(a[1], b[1])) for a, b in bounds))

@@ -13,23 +13,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.simulation.model.imperfections import IDEAL
-from napari_elsplus.simulation.rendering.disturbances import UNDISTURBED, Disturbances
+from napari_elsplus.simulation.rendering.disturbances import UNDISTURBED, UNFADED, Disturbances
 from napari_elsplus.simulation.rendering.line_light import LineLight
+from napari_elsplus.simulation.rendering.sampling import fade_cores, sample_cores
 from napari_elsplus.simulation.rendering.scan import Scan
 from napari_elsplus.simulation.rendering.sensor import expose
 from napari_elsplus.simulation.rendering.views import views
-from napari_elsplus.simulation.specimen.layers import Layer
+from napari_elsplus.simulation.specimen.layers import Layer, join_windows
 from napari_elsplus.simulation.specimen.trajectories import Still, Trajectory, TurningTrajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from napari_elsplus.simulation.model.instrument import Instrument
     from napari_elsplus.simulation.specimen.scenes import Scene
 
     Frame = NDArray[np.uint8]
+    Light = NDArray[np.float32]
 
 
 class Renderer:
@@ -83,15 +86,23 @@ class Renderer:
         self._scan = Scan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
+        self._samples, self._first = join_windows(self._layers)
+        self._sizes = np.array([layer.size for layer in self._layers], np.int64)
+        self._per_um = np.array([1 / layer.step_um for layer in self._layers], np.float64)
         jitter_rows = instrument.imperfections.line_jitter_rows
         self._light = LineLight(self._scan, self._views, self.frame_shape[0], jitter_rows)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
-        self._places = np.empty((2, len(self._cores.rows_um)))
-        self._down = np.empty((2, len(self._cores.rows_um)))
-        self._row_signal = np.empty(self.frame_shape[1], np.float32)
+        self.light_shape = 2, 2, len(self._cores.rows_um)
+        self._unfaded = np.empty(self.light_shape, np.float32)
+        self._row_signal = np.zeros((2, 2 * self.frame_shape[1]), np.float32)
 
     def render(
-        self, frame_index: int, out: Frame | None = None, *, line_rows: NDArray[np.float64] | None = None
+        self,
+        frame_index: int,
+        out: Frame | None = None,
+        *,
+        line_rows: NDArray[np.float64] | None = None,
+        light: Light | None = None,
     ) -> Frame:
         """Render a frame.
 
@@ -104,6 +115,8 @@ class Renderer:
         line_rows : numpy.ndarray, optional
             (rows,) row of the confocal view on which the laser line lies in the middle of each camera row's exposure;
             NaN where the laser is off. None is the ideal scan, ``numpy.arange(rows)``; a standing line is a constant.
+        light : numpy.ndarray, optional
+            From :meth:`core_light`, for a frame at the same place; computed if not given.
 
         Returns
         -------
@@ -119,7 +132,7 @@ class Renderer:
             out = np.empty(self.frame_shape, np.uint8)
         elif out.shape != self.frame_shape or out.dtype != np.uint8:
             raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
-        core_dn = self.core_values(frame_index, line_rows=line_rows)
+        core_dn = self.core_values(frame_index, line_rows=line_rows, light=light)
         camera = self.instrument
         readout = self._disturbances.readout(frame_index) if self._disturbances else UNDISTURBED
         left, right = (view.spots for view in self._views)
@@ -132,12 +145,14 @@ class Renderer:
         )  # fmt: skip
         return out
 
-    def core_values(self, frame_index: int, *, line_rows: NDArray[np.float64] | None = None) -> NDArray[np.float32]:
+    def core_values(
+        self, frame_index: int, *, line_rows: NDArray[np.float64] | None = None, light: Light | None = None
+    ) -> Light:
         """Return the grey level of each core in confocal and residual view, before pixels, background and noise.
 
         Parameters
         ----------
-        frame_index, line_rows
+        frame_index, line_rows, light
             As of :meth:`render`.
 
         Returns
@@ -146,22 +161,44 @@ class Renderer:
             (2, cores) mean grey levels, cores in the order of ``instrument.bundle.cores()``; overwritten by the next
             call.
         """
-        light = self._light.at(line_rows, self._disturbances.jitter_rows(frame_index) if self._disturbances else 0.0)
-        positions_um = self.row_positions_um(frame_index)
-        turn = self.row_turns(frame_index)
-        self._refuse_outside(frame_index, positions_um)
-        self._cover(positions_um, light.shifts_um)
-        for view, of_view, values in zip(self._views, light.views, self._values, strict=True):
-            values[:] = of_view.steady
-            places, camera_rows, rows_um, cols_um = self._places, view.rows_px, self._cores.rows_um, self._cores.cols_um
-            down = None if turn is None else self._down
-            if self._layers:
-                place_cores(places, down, camera_rows, rows_um, cols_um, positions_um, turn)
-            for layer, scale, shift_um in zip(self._layers, of_view.scale, of_view.shift_um, strict=True):
-                gather(values, layer.window, 1 / layer.step_um, places, down, shift_um, scale)
-            if self._disturbances is not None:
-                self._disturbances.fade(values, of_view.of_bundle, frame_index, positions_um)
+        if light is None:
+            light = self.core_light(frame_index, self._unfaded, line_rows=line_rows)
+        fading = UNFADED
+        if self._disturbances is not None:
+            fading = self._disturbances.fading(frame_index, self.row_positions_um(frame_index))
+        for values, (total, of_bundle) in zip(self._values, light, strict=True):
+            fade_cores(values, total, of_bundle, *fading)
         return self._values
+
+    def core_light(self, frame_index: int, out: Light, *, line_rows: NDArray[np.float64] | None = None) -> Light:
+        """Compute the light on each core, in grey levels, before the specimen bleaches and the bundle bends.
+
+        Parameters
+        ----------
+        frame_index, line_rows
+            As of :meth:`render`.
+        out : numpy.ndarray
+            Output of shape ``light_shape``, (2, 2, cores), float32.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``out``: for confocal and residual view the total, and the part that arises in the bundle.
+        """
+        mixed = self._light.at(line_rows, self._disturbances.jitter_rows(frame_index) if self._disturbances else 0.0)
+        positions_um = self.row_positions_um(frame_index)
+        turns = self.row_turns(frame_index)
+        self._refuse_outside(frame_index, positions_um)
+        self._cover(positions_um, mixed.shifts_um)
+        views = zip(self._views, mixed.first.views, mixed.second.views, out, strict=True)
+        for view, first, second, (total, of_bundle) in views:
+            sample_cores(
+                total, of_bundle, first, second, mixed.share,
+                view.rows_px, self._cores.rows_um, self._cores.cols_um, positions_um,
+                np.empty((0, 2)) if turns is None else turns,
+                self._samples, self._first, self._sizes, self._per_um,
+            )  # fmt: skip
+        return out
 
     def row_positions_um(self, frame_index: int) -> NDArray[np.float64]:
         """Return the position of the probe, (rows, 2) um, when each camera row of a frame (by its index) is read."""
@@ -199,7 +236,7 @@ class Renderer:
         for frame_index in range(frames):
             self._refuse_outside(frame_index, self.row_positions_um(frame_index))
 
-    def _cover(self, positions_um: NDArray[np.float64], shifts_um: tuple[tuple[float, float], ...]) -> None:
+    def _cover(self, positions_um: NDArray[np.float64], shifts_um: Iterable[tuple[float, float]]) -> None:
         radius = self.instrument.bundle.radius_um
         low, high = positions_um.min(0) - radius, positions_um.max(0) + radius
         for layer, (up_um, down_um) in zip(self._layers, shifts_um, strict=True):
@@ -222,90 +259,3 @@ class Renderer:
 
 def _noise_key(seed: int, frame_index: int) -> int:
     return int(np.random.SeedSequence((seed, frame_index)).generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-@kernel
-def place_cores(
-    places: NDArray[np.float64],
-    down: NDArray[np.float64] | None,
-    camera_rows: NDArray[np.float64],
-    rows_um: NDArray[np.float64],
-    cols_um: NDArray[np.float64],
-    positions_um: NDArray[np.float64],
-    turns: NDArray[np.float64] | None,
-) -> None:
-    """Compute the scene position of each core when its camera row is read, and the direction of the bundle's rows.
-
-    Parameters
-    ----------
-    places : numpy.ndarray
-        (2, cores) output: row and column, um.
-    down : numpy.ndarray or None
-        (2, cores) output: unit vector along which the bundle's row increases; None without rotation.
-    camera_rows : numpy.ndarray
-        (cores,) camera row of each core.
-    rows_um, cols_um : numpy.ndarray
-        (cores,) position of each core about the centre of the bundle.
-    positions_um : numpy.ndarray
-        (rows, 2) position of the probe at each camera row.
-    turns : numpy.ndarray or None
-        (rows, 2) cosine and sine of the probe's angle; None without rotation.
-    """
-    last = len(positions_um) - 2
-    for n in range(len(camera_rows)):
-        r = min(last, max(0, int(camera_rows[n])))
-        f = camera_rows[n] - r
-        y, x = rows_um[n], cols_um[n]
-        if turns is not None and down is not None:
-            c = turns[r, 0] + f * (turns[r + 1, 0] - turns[r, 0])
-            s = turns[r, 1] + f * (turns[r + 1, 1] - turns[r, 1])
-            y, x = c * y - s * x, s * y + c * x
-            down[0, n] = c
-            down[1, n] = s
-        places[0, n] = y + positions_um[r, 0] + f * (positions_um[r + 1, 0] - positions_um[r, 0])
-        places[1, n] = x + positions_um[r, 1] + f * (positions_um[r + 1, 1] - positions_um[r, 1])
-
-
-@kernel
-def gather(
-    values: NDArray[np.float32],
-    window: NDArray[np.float32],
-    per_um: float,
-    places: NDArray[np.float64],
-    down: NDArray[np.float64] | None,
-    shift_um: NDArray[np.float32],
-    scale: NDArray[np.float32],
-) -> None:
-    """Add the brightness of a layer to each core, bilinear.
-
-    Parameters
-    ----------
-    values : numpy.ndarray
-        (cores,) grey levels, added to.
-    window : numpy.ndarray
-        (n, n) samples of the layer, n a power of two; indices wrap around.
-    per_um : float
-        Samples per um.
-    places, down : numpy.ndarray
-        See :func:`place_cores`.
-    shift_um : numpy.ndarray
-        (cores,) shift along the bundle's rows.
-    scale : numpy.ndarray
-        (cores,) factor on the brightness.
-    """
-    one, mask = np.uint64(1), np.uint64(window.shape[0] - 1)  # unsigned: no index is tested for being negative
-    for n in range(len(values)):
-        y, x = places[0, n], places[1, n]
-        if down is None:
-            y += shift_um[n]
-        else:
-            y += shift_um[n] * down[0, n]
-            x += shift_um[n] * down[1, n]
-        y, x = y * per_um, x * per_um
-        fy, fx = np.floor(y), np.floor(x)
-        i, j = np.uint64(np.int64(fy)) & mask, np.uint64(np.int64(fx)) & mask
-        k, m = (i + one) & mask, (j + one) & mask
-        dy, dx = np.float32(y - fy), np.float32(x - fx)
-        top = window[i, j] + dx * (window[i, m] - window[i, j])
-        bottom = window[k, j] + dx * (window[k, m] - window[k, j])
-        values[n] += scale[n] * (top + dy * (bottom - top))

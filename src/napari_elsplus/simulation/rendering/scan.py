@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.simulation.model.axial_response import gaussian_over_slit, line_response
+from napari_elsplus.simulation.model.axial_response import line_response
+from napari_elsplus.simulation.model.bells import BELL, ERF
 from napari_elsplus.simulation.model.illumination import edge
 from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS
+from napari_elsplus.simulation.rendering.reception import place_line, receive, weigh
 from napari_elsplus.simulation.specimen.layers import Blur
 from napari_elsplus.simulation.specimen.textures import Uniform
 
@@ -38,7 +40,7 @@ _VIGNETTE_STEPS_PER_ROW = 4
 """Jitters for which the vignetting is computed; derived: an eighth of a row changes no core at the rim by 0.2 % of the
 brightest."""
 _KEPT_VIGNETTES = 64
-"""Most vignettes that are kept, of 150 kB; derived: of two views, a plane and the bundle's own light, with and without
+"""Most vignettes that are kept, of 74 kB; derived: of two views, a plane and the bundle's own light, with and without
 cross-talk on the way back, at eight jitters."""
 
 
@@ -127,8 +129,11 @@ class Scan:
         self._smear_um = instrument.slit_um / np.sqrt(12)
         self.channels = channels(instrument.line, instrument.imperfections.halo_in_collection_percent / 100)
         self._along_line = _power_along_line(instrument, cores)
+        bow_um = instrument.optics.um_per_px * instrument.imperfections.line_bow_rows
+        tilt_um = np.tan(np.deg2rad(instrument.line_tilt_deg)) * cores.cols_um
+        self._below_um = np.asarray(tilt_um + bow_um * (cores.cols_um / instrument.bundle.radius_um) ** 2, np.float64)
         self._place_on_grid()
-        self._vignettes: dict[tuple[float, bytes], NDArray[np.float64]] = {}
+        self._vignettes: dict[tuple[float, bytes], NDArray[np.float32]] = {}
         self.terms = tuple(term for plane in scene.planes for term in self._terms_of(plane))
 
     def light(self, view: BundleView, line_rows: NDArray[np.float64] | None, jitter_rows: float = 0.0) -> CoreLight:
@@ -162,11 +167,11 @@ class Scan:
         if self._along_line is not None:
             strength = strength * self._along_line
         offset_um, smear_um, grid_offset_um = self._offsets(view, line_rows, jitter_rows)
-        cache: dict[float, NDArray[np.float64]] = {}
+        cache: dict[float, NDArray[np.float32]] = {}
 
-        def parts(depth_um: float) -> NDArray[np.float64]:
+        def parts(depth_um: float) -> NDArray[np.float32]:
             if depth_um not in cache:
-                cache[depth_um] = strength * self._parts(depth_um, offset_um, smear_um, grid_offset_um)
+                cache[depth_um] = self._parts(depth_um, strength, offset_um, smear_um, grid_offset_um)
             return cache[depth_um]
 
         steady += instrument.autofluorescence * parts(0.0).sum(0)
@@ -175,12 +180,11 @@ class Scan:
             if isinstance(plane.texture, Uniform):
                 steady += plane.brightness * parts(plane.depth_um).sum(0)
         for t, term in enumerate(self.terms):
-            received = parts(term.plane.depth_um)[list(term.parts)]
-            total = received.sum(0)
-            scale[t] = term.plane.brightness * total
-            pulls = [self._product(part, term.plane.depth_um).pull for part in term.parts]
-            lit = total > _NEGLIGIBLE * instrument.light_dn
-            shift_um[t] = np.where(lit, offset_um * (pulls @ received) / np.where(lit, total, 1), 0)
+            pulls = np.array([self._product(part, term.plane.depth_um).pull for part in term.parts])
+            weigh(
+                scale[t], shift_um[t], parts(term.plane.depth_um), np.array(term.parts), pulls,
+                term.plane.brightness, offset_um, _NEGLIGIBLE * instrument.light_dn,
+            )  # fmt: skip
         return CoreLight(of_bundle, steady.astype(np.float32), scale, shift_um)
 
     def _terms_of(self, plane: Plane) -> list[Term]:
@@ -220,33 +224,32 @@ class Scan:
     def _parts(
         self,
         depth_um: float,
+        strength: NDArray[np.float64],
         offset_um: NDArray[np.float64],
         smear_um: NDArray[np.float64],
         grid_offset_um: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    ) -> NDArray[np.float32]:
         """Return the light of a uniform plane of brightness 1 by each channel, (channels, cores)."""
         line, optics = self._instrument.line, self._instrument.optics
         reference = float(line_response(0.0, 0.0, optics.um(REFERENCE_SLIT_ROWS), line))
-        received = np.empty((len(self.channels), len(offset_um)))
-        for collected_um in sorted({channel.collected_um for channel in self.channels}):
+        received = np.empty((len(self.channels), len(offset_um)), np.float32)
+        for index, (share, part, collected_um) in enumerate(self.channels):
             # Cross-talk on the way back spreads light over the face of the bundle as a greater depth would.
             as_deep_um = float(np.hypot(depth_um, collected_um / line.spread)) if collected_um else depth_um
-            vignette = self._vignette(grid_offset_um, as_deep_um)
-            for index, channel in enumerate(self.channels):
-                if channel.collected_um == collected_um:
-                    width_um = np.hypot(line.parts[channel.part][1], line.spread * as_deep_um)
-                    unclipped = gaussian_over_slit(offset_um, smear_um, width_um) * (channel.share / reference)
-                    clipped = (vignette[channel.part][self._grid_index] * self._grid_weight).sum(0)
-                    received[index] = unclipped * clipped
+            width_um = float(np.hypot(line.parts[part][1], line.spread * as_deep_um))
+            receive(
+                received[index], offset_um, smear_um, strength * (share / reference),
+                self._vignette(grid_offset_um, as_deep_um)[part], *self._on_grid, width_um, BELL, ERF,
+            )  # fmt: skip
         return received
 
-    def _vignette(self, grid_offset_um: NDArray[np.float64], depth_um: float) -> NDArray[np.float64]:
-        """Return the vignetting of core and halo, (2, points * points), kept while the line is where it was."""
+    def _vignette(self, grid_offset_um: NDArray[np.float64], depth_um: float) -> NDArray[np.float32]:
+        """Return the vignetting of core and halo, (2, points, points), kept while the line is where it was."""
         key = depth_um, grid_offset_um.tobytes()
         if key not in self._vignettes:
             if len(self._vignettes) >= _KEPT_VIGNETTES:
                 self._vignettes.clear()
-            self._vignettes[key] = self._edge.vignette(grid_offset_um, depth_um).reshape(2, -1)
+            self._vignettes[key] = self._edge.vignette(grid_offset_um, depth_um).astype(np.float32)
         return self._vignettes[key]
 
     def _offsets(
@@ -260,28 +263,23 @@ class Scan:
         speed = np.ones_like(rows) if line_rows is None else np.abs(np.gradient(line_rows))
         lag = np.where(np.isfinite(lag), lag, _FAR_UM)
         speed = np.where(np.isfinite(speed), speed, 1.0)
-
-        def off(camera_rows: NDArray[np.float64], bundle_rows_um: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray((camera_rows + np.interp(camera_rows, rows, lag) - left_row) * um - bundle_rows_um)
-
+        offset_um, smear_um = np.empty((2, len(view.rows_px)))
+        place_line(
+            offset_um, smear_um, view.rows_px, self._cores.rows_um, self._below_um,
+            lag + jitter_rows, speed, um, left_row, instrument.slit_um,
+        )  # fmt: skip
         grid, near_rows = self._edge.grid_um, round(jitter_rows * _VIGNETTE_STEPS_PER_ROW) / _VIGNETTE_STEPS_PER_ROW
-        tilt_um = np.tan(np.deg2rad(instrument.line_tilt_deg)) * self._cores.cols_um
-        bow_um = um * instrument.imperfections.line_bow_rows * (self._cores.cols_um / instrument.bundle.radius_um) ** 2
-        return (
-            off(view.rows_px, self._cores.rows_um) + um * jitter_rows + tilt_um + bow_um,
-            instrument.slit_um * np.interp(view.rows_px, rows, speed),
-            off(view.centre_row + grid / um, grid) + um * near_rows,
-        )
+        grid_rows = view.centre_row + grid / um
+        grid_offset_um = (grid_rows + np.interp(grid_rows, rows, lag) + near_rows - left_row) * um - grid
+        return offset_um, smear_um, np.asarray(grid_offset_um, np.float64)
 
     def _place_on_grid(self) -> None:
         """Bilinear places of the cores on the vignette's grid."""
         grid = self._edge.grid_um
         points, step = len(grid), grid[1] - grid[0]
         y, x = ((axis - grid[0]) / step for axis in (self._cores.rows_um, self._cores.cols_um))
-        i, j = (np.clip(axis.astype(np.intp), 0, points - 2) for axis in (y, x))
-        fy, fx = y - i, x - j
-        self._grid_index = np.stack([i, i, i + 1, i + 1]) * points + np.stack([j, j + 1, j, j + 1])
-        self._grid_weight = np.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
+        i, j = (np.clip(axis.astype(np.int32), 0, points - 2) for axis in (y, x))
+        self._on_grid = i * points + j, (y - i).astype(np.float32), (x - j).astype(np.float32)
 
 
 def _power_along_line(instrument: Instrument, cores: Cores) -> NDArray[np.float64] | None:

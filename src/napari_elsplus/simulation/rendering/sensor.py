@@ -18,6 +18,8 @@ SPOTS_PER_PIXEL = 3
 """Cores that light a pixel; the fourth nearest lies more than a pitch away, 3.8 standard deviations of a spot."""
 GHOST_PART = 16
 """Part of the frame's width by which a ghost is displaced; chosen: within the same view, and far from its own light."""
+GAIN_UNIT = 2**-14
+"""Of the pixels' gains; chosen: two bytes reach to a gain of 4, and are off by a thirtieth of a thousandth."""
 _REACH_PITCHES = 1.0
 """Distance from the outermost cores, in core pitches, to which pixels are lit."""
 
@@ -25,7 +27,7 @@ _REACH_PITCHES = 1.0
 class Spots(NamedTuple):
     """Cores that light each pixel of one view.
 
-    ``cores`` and ``weights`` are (pixels, 3), the pixels row after row; row r has the pixels ``first[r]`` to
+    ``cores`` and ``weights`` are (3, pixels), the pixels row after row; row r has the pixels ``first[r]`` to
     ``first[r + 1] - 1``, which begin at column ``column[r]``.
     """
 
@@ -78,7 +80,8 @@ def spread_spots(
     weights = np.exp(-0.5 * (away / (bundle.core_sigma * pitch_px)) ** 2)
     lit = np.hypot(pixel_rows - centre[0], pixel_cols - centre[1]) < radius - 2 * reach
     scale = 1 / weights[lit].sum(1).mean()
-    return Spots(first, left, cores.astype(np.uint16), np.round(255 * weights).astype(np.uint8), scale / 255)
+    by_place = np.ascontiguousarray(cores.T, np.uint16), np.ascontiguousarray(np.round(255 * weights).T, np.uint8)
+    return Spots(first, left, *by_place, scale / 255)
 
 
 @kernel
@@ -97,8 +100,10 @@ def expose(
     row_signal: NDArray[np.float32],
     row_power: NDArray[np.float32] | None,
     row_black_dn: NDArray[np.float32] | None,
-    pixel_gain: NDArray[np.float32] | None,
-    pixel_dark_dn: NDArray[np.float32] | None,
+    pixel_gain: NDArray[np.uint16] | None,
+    hot_first: NDArray[np.int64] | None,
+    hot_column: NDArray[np.int64] | None,
+    hot_dn: NDArray[np.float32] | None,
     ghost: float,
     black_dn: float,
     electrons_per_dn: float,
@@ -121,12 +126,14 @@ def expose(
     right_first, right_column, right_cores, right_weights, right_values : numpy.ndarray
         The same of the residual view.
     row_signal : numpy.ndarray
-        (cols,) scratch.
+        (2, 2 cols) scratch, zero at the first call.
     row_power, row_black_dn : numpy.ndarray or None
         (rows,) factor on the light while each row is exposed, and grey levels added to the row; None of the ideal
-        instrument, as the next two.
-    pixel_gain, pixel_dark_dn : numpy.ndarray or None
-        (rows, cols) factor on each pixel's signal, and its dark signal in grey levels.
+        instrument, as the next four.
+    pixel_gain : numpy.ndarray or None
+        (rows, cols) factor on each pixel's signal, in units of `GAIN_UNIT`.
+    hot_first, hot_column, hot_dn : numpy.ndarray or None
+        Hot pixels: fields of `Readout`.
     ghost : float
         Share of the light that a reflection displays again, displaced along the row by a sixteenth of the frame.
     black_dn, electrons_per_dn, read_noise_e : float
@@ -142,24 +149,32 @@ def expose(
     key_a = np.uint32(key & 0xFFFFFFFF)
     key_b = np.uint32((key >> 32) & 0xFFFFFFFF)
     noisy = electrons_per_dn < 1e6
+    light, left_of = row_signal[0, cols:], row_signal[0, cols - cols // GHOST_PART :]
+    disturbed = row_power is not None and row_black_dn is not None and pixel_gain is not None
+    seen = row_signal[1] if disturbed else light
     for r in range(rows):
         for c in range(cols):
-            row_signal[c] = 0
-        _spread_row(row_signal, left_column[r], left_first[r], left_first[r + 1], left_cores, left_weights, left_values)
+            light[c] = 0
+            seen[c] = 0
+        _spread_row(light, left_column[r], left_first[r], left_first[r + 1], left_cores, left_weights, left_values)
         _spread_row(
-            row_signal, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
+            light, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
         )
-        if ghost > 0:
-            for c in range(cols - 1, cols // GHOST_PART - 1, -1):  # from the right: no ghost of the ghost
-                row_signal[c] += np.float32(ghost) * row_signal[c - cols // GHOST_PART]
-        base = np.uint32(r * cols)
         row_black = black
-        if row_black_dn is not None:
+        if row_power is not None and row_black_dn is not None and pixel_gain is not None:
             row_black += row_black_dn[r]
+            power, gain = row_power[r] * np.float32(GAIN_UNIT), pixel_gain[r]
+            left_end = left_column[r] + left_first[r + 1] - left_first[r]
+            right_end = right_column[r] + right_first[r + 1] - right_first[r]
+            begin = min(left_column[r], right_column[r])  # before it there is no light, nor behind the end
+            end = min(cols, max(left_end, right_end) + (cols // GHOST_PART if ghost > 0 else 0))
+            _disturb(seen[begin:end], light[begin:end], left_of[begin:end], gain[begin:end], power, ghost)
+        if hot_first is not None and hot_column is not None and hot_dn is not None:
+            for p in range(hot_first[r], hot_first[r + 1]):
+                seen[hot_column[p]] += hot_dn[p]
+        base, row = np.uint32(r * cols), out[r]
         for c in range(cols):
-            signal = row_signal[c]
-            if row_power is not None and pixel_gain is not None and pixel_dark_dn is not None:
-                signal = signal * row_power[r] * pixel_gain[r, c] + pixel_dark_dn[r, c]
+            signal = seen[c]
             if noisy:
                 word = np.uint32((base + np.uint32(c)) ^ key_a)
                 word = np.uint32(word * np.uint32(0x7FEB352D))
@@ -174,12 +189,26 @@ def expose(
                     + (word >> np.uint32(24))
                 )
                 signal += np.sqrt(signal * shot + read) * (np.float32(total) - np.float32(510)) * norm
-            out[r, c] = np.uint8(min(np.float32(255), max(np.float32(0), signal + row_black)))
+            row[c] = np.uint8(min(np.float32(255), max(np.float32(0), signal + row_black)))
+
+
+@kernel
+def _disturb(
+    seen: NDArray[np.float32],
+    light: NDArray[np.float32],
+    reflected: NDArray[np.float32],
+    gain: NDArray[np.uint16],
+    power: float,
+    ghost: float,
+) -> None:
+    share, factor = np.float32(ghost), np.float32(power)
+    for c in range(len(seen)):
+        seen[c] = (light[c] + share * reflected[c]) * (factor * np.float32(gain[c]))
 
 
 @kernel
 def _spread_row(
-    row_signal: NDArray[np.float32],
+    light: NDArray[np.float32],
     column: int,
     first: int,
     last: int,
@@ -187,9 +216,12 @@ def _spread_row(
     weights: NDArray[np.uint8],
     values: NDArray[np.float32],
 ) -> None:
-    for p in range(first, last):
-        row_signal[column + p - first] += (
-            np.float32(weights[p, 0]) * values[cores[p, 0]]
-            + np.float32(weights[p, 1]) * values[cores[p, 1]]
-            + np.float32(weights[p, 2]) * values[cores[p, 2]]
+    row = light[column : column + last - first]
+    core0, core1, core2 = cores[0, first:last], cores[1, first:last], cores[2, first:last]
+    weight0, weight1, weight2 = weights[0, first:last], weights[1, first:last], weights[2, first:last]
+    for p in range(last - first):
+        row[p] += (
+            np.float32(weight0[p]) * values[core0[p]]
+            + np.float32(weight1[p]) * values[core1[p]]
+            + np.float32(weight2[p]) * values[core2[p]]
         )

@@ -12,6 +12,8 @@ import numpy as np
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from napari_elsplus.simulation.specimen.textures import Texture
@@ -38,8 +40,9 @@ class Layer:
     """A blurred plane on a regular grid, of which a window around the probe is in memory.
 
     Sample (i, j) lies at ``(i, j) * step_um`` in the scene and is stored at ``window[i & mask, j & mask]``: samples
-    behind the probe are overwritten, and memory is independent of the path. The most recent blocks (at most 32 MB) are
-    cached for a probe that returns.
+    behind the probe are overwritten, and memory is independent of the path. A last row and a last column repeat the
+    first ones, so that neighbours of a sample are always beside it. The most recent blocks (at most 32 MB) are cached
+    for a probe that returns.
 
     Parameters
     ----------
@@ -60,7 +63,7 @@ class Layer:
         )
         needed = 2 * reach_um / self.step_um + 3 * BLOCK
         self.size = 1 << int(np.ceil(np.log2(needed)))
-        self.window: NDArray[np.float32] = np.zeros((self.size, self.size), np.float32)
+        self.window: NDArray[np.float32] = np.zeros((self.size + 1, self.size + 1), np.float32)
         per_side = self.size // BLOCK
         self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min)  # block in each slot
         self._ahead: list[tuple[int, int]] = []
@@ -111,6 +114,12 @@ class Layer:
         slot = block[0] % len(self._held), block[1] % len(self._held)
         row, col = slot[0] * BLOCK, slot[1] * BLOCK
         self.window[row : row + BLOCK, col : col + BLOCK] = self._block(*block)
+        if not row:
+            self.window[-1, col : col + BLOCK] = self.window[0, col : col + BLOCK]
+        if not col:
+            self.window[row : row + BLOCK, -1] = self.window[row : row + BLOCK, 0]
+        if not (row or col):
+            self.window[-1, -1] = self.window[0, 0]
         self._held[slot] = block
 
     def _block(self, i: int, j: int) -> NDArray[np.float32]:
@@ -129,6 +138,31 @@ class Layer:
         if len(self._kept) > _MAX_BLOCKS:
             self._kept.popitem(last=False)
         return block
+
+
+def join_windows(layers: Sequence[Layer]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Put the windows of layers one after the other into one array, where they stay.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+        Of any size, or none.
+
+    Returns
+    -------
+    samples : numpy.ndarray
+        All windows, row after row.
+    first : numpy.ndarray
+        (layers,) index of each window's first sample.
+    """
+    ends = np.cumsum([layer.window.size for layer in layers], dtype=np.int64)
+    samples = np.zeros(ends[-1] if len(layers) else 0, np.float32)
+    first = np.array([0, *ends[:-1]], np.int64)[: len(layers)]
+    for layer, begin, end in zip(layers, first, ends, strict=True):
+        joined = samples[begin:end].reshape(layer.window.shape)
+        joined[:] = layer.window
+        layer.window = joined
+    return samples, first
 
 
 def _gaussian(sigma: float) -> NDArray[np.float32]:
