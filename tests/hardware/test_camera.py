@@ -66,6 +66,28 @@ def test_in_real_time_frames_come_at_the_cameras_rate(cameras) -> None:
         assert "gap" not in camera.dropped
 
 
+@pytest.mark.parametrize("moves", [True, False], ids=["galvo moved", "galvo at rest"])
+def test_a_late_simulation_skips_frames_from_before_the_galvo_was_moved_and_no_others(cameras, moves: bool) -> None:
+    moved_s = [-np.inf]
+    bench = cameras(moved_s=lambda: moved_s[0])
+    expose = bench.bench.expose
+
+    def late(shot, out) -> None:
+        if shot.frame == 10:
+            time.sleep(0.1)  # twelve frames at 120 Hz
+            moved_s[0] = time.perf_counter() if moves else -np.inf
+        expose(shot, out)
+
+    bench.bench.expose = late
+    with bench.open() as camera:
+        camera.configure(SMALL, slit_rows=3, frame_rate_hz=120)
+        camera.start()
+        numbers = [info.frame_number for info in frames(camera, 20)]
+    after = numbers[numbers.index(10) + 1]
+    assert after >= 20 if moves else after == 11
+    assert np.diff(numbers[numbers.index(after) :]).max() == 1
+
+
 def test_what_is_set_is_what_the_sensor_does(cameras) -> None:
     bench = cameras(real_time=False)
     with bench.open(wait_for_reader=True) as camera:

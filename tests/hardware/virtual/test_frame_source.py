@@ -7,8 +7,10 @@ import pytest
 
 from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
 from napari_elsplus.hardware.virtual.remembered_frames import MAX_FILES
+from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.simulation.specimen.scenes import plate
+from napari_elsplus.simulation.rendering.renderer import Renderer
+from napari_elsplus.simulation.specimen.scenes import fibres, plate
 
 
 def test_frames_come_again_from_memory_while_the_line_moves_alike_and_only_then() -> None:
@@ -57,3 +59,82 @@ def test_a_second_start_recalls_the_frames_of_a_closed_path(tmp_path: Path, monk
         file.write_bytes(file.read_bytes()[:-1])
     assert started()[0] == 4
     assert len(list(tmp_path.rglob("*.npy"))) <= MAX_FILES
+
+
+def imperfect(text: str = "") -> Instrument:
+    drawn = Imperfections.drawn(1) if not text else Imperfections.parse(text)
+    return Instrument.of("240hz", imperfections=drawn)
+
+
+def test_frames_of_a_bleaching_specimen_are_those_rendered_one_by_one_in_the_first_round() -> None:
+    instrument, path = imperfect(), Circle(period_s=6 / 240)
+    source = FrameSource(instrument, fibres(), path, seed=3, ahead=True)
+    rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
+    source.render_ahead(rows)
+    alone = Renderer(instrument, fibres(), path, seed=3)
+    frame = np.empty(instrument.frame_shape, np.uint8)
+    alone.render(0)  # the source does so to compile all: jitters of the first frames are not interpolated
+    for number in range(6):
+        source.fill(number, frame, rows)
+        np.testing.assert_array_equal(frame, alone.render(number))
+
+
+def test_light_of_a_closed_path_is_computed_once_and_fades_under_noise_that_does_not_recur() -> None:
+    source = FrameSource(imperfect("bleaching=20"), fibres(), Circle(period_s=4 / 240), seed=3, ahead=True)
+    rows = np.arange(524.0)
+    source.render_ahead(rows)
+    computed: list[int] = []
+    source._renderer.core_light = lambda *_a, **_b: computed.append(1)  # type: ignore[method-assign]
+    first, again, later = (np.empty((524, 1328), np.uint8) for _ in range(3))
+    for frame, out in ((1, first), (5, again), (401, later)):
+        source.fill(frame, out, rows)
+    assert not computed
+    assert not np.array_equal(first, again)
+    lit = slice(200, 320), slice(280, 380)
+    left = [float(image[lit].mean()) - first[:40, :40].mean() for image in (first, again, later)]
+    assert left[1] == pytest.approx(left[0], rel=0.03)
+    assert left[2] == pytest.approx(0.8**4 * left[0], rel=0.15)  # all but the bundle's own light
+
+
+def test_what_recurs_leaves_the_statistics_of_imperfect_frames_as_they_are() -> None:
+    """Noise in the dark and in the light, rows, hot pixels, power: of frames from memory, and rendered anew."""
+    instrument, path, count = imperfect("row-noise=1,power-noise=3,prnu=1,hot-pixels=0.1,bleaching=1"), 2 / 240, 24
+    rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
+    source = FrameSource(instrument, plate(0.0), Circle(period_s=path), seed=3, ahead=True)
+    alone = Renderer(instrument, plate(0.0), Circle(period_s=path), seed=3)
+    source.render_ahead(rows)
+    kept, anew = np.empty((2, count, *instrument.frame_shape), np.uint8)
+    for number in range(count):
+        source.fill(2 * (number + 10), kept[number], rows)
+        alone.render(2 * (number + 10), anew[number])
+    found = [statistics(frames.astype(np.float32)) for frames in (kept, anew)]
+    for name, value in found[1].items():
+        assert found[0][name] == pytest.approx(value, rel=0.03), name
+
+
+def statistics(frames: np.ndarray) -> dict[str, float]:
+    dark, lit = frames[:, :, 1220:], frames[:, 210:310, 280:380]
+    return {
+        "dark level": float(dark.mean()),
+        "noise in the dark": float(dark.std(0).mean()),
+        "noise of rows": float(dark.mean(2).std(0).mean()),
+        "hot pixels": float(np.median((dark.mean(0) > 30).sum(1).mean())),
+        "level": float(lit.mean()),
+        "noise in the light": float(lit.std(0).mean()),
+        "power of rows": float(lit.mean(2).std(0).mean()),
+        "pattern": float(lit.mean(0).std()),
+    }
+
+
+def test_a_second_start_recalls_the_light_of_a_closed_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ELSPLUS_CACHE", str(tmp_path))
+    frames, rows = np.empty((2, 524, 1328), np.uint8), np.arange(524.0)
+    computed: list[int] = []
+    for frame in frames:
+        source = FrameSource(imperfect("bleaching=5"), plate(0.0), Circle(period_s=3 / 240), seed=0, ahead=True)
+        light = source._renderer.core_light
+        source._renderer.core_light = lambda *a, _light=light, **b: (computed.append(1), _light(*a, **b))[1]
+        source.render_ahead(rows)
+        source.fill(4, frame, rows)
+    assert len(computed) == (1 + 3) + 1  # one is always rendered, so that everything is compiled
+    np.testing.assert_array_equal(*frames)

@@ -22,7 +22,21 @@ BLOCKS = [
     [4.001, 3.9996, 4.224, 4.3319, 4.1717, 4.0467, 3.9979, 4.0004],
     [25.1591, 31.4639, 55.9533, 54.9161, 57.6352, 53.5576, 33.3532, 24.6667],
 ]
-"""Mean grey levels that frames of the ideal instrument had before imperfections were introduced; see the last test."""
+"""Mean grey levels that frames of the ideal instrument had before imperfections were introduced; see the last tests."""
+IMPERFECT_MEANS = [
+    [16.301, 9.0619, 35.5127, 15.9029, 37.8165, 16.49, 23.0336, 9.6537],
+    [17.0422, 9.4555, 35.1169, 15.7952, 38.7633, 16.9321, 23.0093, 9.8546],
+    [4.1203, 4.1339, 4.3073, 4.3811, 4.1968, 4.117, 4.0828, 4.0995],
+    [25.2288, 31.3778, 56.0498, 54.5543, 57.6527, 53.1628, 33.4094, 24.6091],
+]
+IMPERFECT_SDS = [
+    [24.3754, 9.4069, 30.8292, 10.7881, 31.3498, 11.4835, 29.1708, 10.3147],
+    [25.8877, 10.0952, 30.3033, 10.644, 32.1091, 11.8842, 29.0121, 10.5228],
+    [3.1408, 3.4075, 3.5274, 2.9533, 2.8847, 3.5077, 2.71, 3.1493],
+    [37.8155, 38.9816, 43.6806, 40.7504, 43.2335, 41.0434, 41.7569, 35.8721],
+]
+"""Mean and standard deviation of the grey levels of an imperfect instrument's frames before its light was computed in
+fused kernels; see the last test."""
 
 
 def instrument(text: str = "", **fields) -> Instrument:
@@ -218,3 +232,18 @@ def test_the_ideal_instrument_renders_what_it_did() -> None:
     )
     blocks = [frame.reshape(4, 131, 2, 664).mean((1, 3)).ravel() for frame in frames]
     np.testing.assert_allclose(blocks, BLOCKS, atol=0.005)
+
+
+def test_an_imperfect_instrument_renders_what_it_did() -> None:
+    """Grey levels of the blocks in motion (jitter computed, interpolated), of a standing line, and of a lamp."""
+    made = replace(instrument(), imperfections=Imperfections.drawn(1))
+    moving = Renderer(made, nuclei(3), Straight(2000), seed=7)
+    frames = (
+        moving.render(2),
+        [moving.render(k) for k in range(3, 8)][-1],
+        Renderer(made, empty(), seed=7).render(0, line_rows=np.full(524, 260.0)),
+        Renderer(made, distal_light(), seed=7).render(0),
+    )
+    blocks = [frame.reshape(4, 131, 2, 664) for frame in frames]
+    np.testing.assert_allclose([block.mean((1, 3)).ravel() for block in blocks], IMPERFECT_MEANS, atol=0.002)
+    np.testing.assert_allclose([block.std((1, 3)).ravel() for block in blocks], IMPERFECT_SDS, atol=0.002)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.simulation.specimen.layers import Blur, Layer
+from napari_elsplus.simulation.specimen.layers import Blur, Layer, join_windows
 from napari_elsplus.simulation.specimen.pictures import ImageTexture, usaf_1951
 from napari_elsplus.simulation.specimen.scenes import SCENES, Plane, picture, scene
 from napari_elsplus.simulation.specimen.textures import Fibres, Mottle, Nuclei, Texture, Uniform
@@ -46,6 +46,21 @@ def test_layer_is_the_blurred_texture_however_it_is_reached() -> None:
     held = np.ix_(index, index)
     assert np.array_equal(straight.window[held], wandering.window[held])
     assert straight.window.nbytes < 2e6
+
+
+def test_windows_repeat_their_first_row_and_column_at_the_end_also_after_they_are_joined() -> None:
+    layers = [Layer(Nuclei(), blur, 60.0) for blur in (Blur(3.0, 5.0), Blur(8.0, 8.0))]
+    layers[0].cover(-60, -60, 60, 60)
+    before = layers[0].window.copy()
+    samples, first = join_windows(layers)
+    assert np.array_equal(layers[0].window, before)
+    for place in (0.0, 700.0, -900.0):
+        for layer, begin in zip(layers, first, strict=True):
+            layer.cover(place - 60, place - 60, place + 60, place + 60)
+            window = samples[begin : begin + (layer.size + 1) ** 2].reshape(layer.size + 1, -1)
+            assert window.any()
+            assert np.array_equal(window[-1], window[0])
+            assert np.array_equal(window[:, -1], window[:, 0])
 
 
 def test_layer_blurs_by_what_it_is_told() -> None:

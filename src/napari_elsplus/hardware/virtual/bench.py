@@ -148,6 +148,10 @@ class OpticalBench:
         instrument = self.instrument(preset)
         return float(instrument.line_row(self.card.last_volts))
 
+    def moved_s(self) -> float:
+        """Return when the card was given its last voltage or ramp."""
+        return self.card.programs()[-1].since_s
+
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Return the row of the confocal view on which the line is in the middle of each row's exposure of a shot."""
         programs = self.card.programs()

@@ -57,7 +57,7 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     opened: list[DaqScanner] = []
     held.callback(lambda: when_parked(opened[0], release) if opened else release())  # the card is needed until then
     optics = OpticalBench(simulation, card, clock)
-    plug = Plug(VirtualCamera(optics, serial=SERIAL))
+    plug = Plug(VirtualCamera(optics, serial=SERIAL, moved_s=optics.moved_s))
     limits = simulation.stated_limits
     settings = CardSettings(parking_voltage(optics), address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
+from math import ceil, inf
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 import numpy as np
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 BYTES_KEPT: Final = 32 << 20
 """Bytes that the camera buffers while the computer is late (chosen); older frames are lost."""
+LATE_FRAMES: Final = 2
+"""Frames by which the simulation is late from which it skips those that nothing waits for; chosen: one is chance."""
 WIRED_LINE: Final = 1
 """Line of the camera that is wired to the card."""
 GAMMA: Final = 0.5
@@ -111,6 +114,9 @@ class VirtualCamera:
         Rows per second; None: those of its make.
     make : type
         Its registers: those of a Flea3, or of another make.
+    moved_s : callable, optional
+        Returns when the galvo was moved last. Frames that were read out before are not kept by a simulation that is
+        late: what moved it, a calibration, waits for those that follow.
     """
 
     def __init__(
@@ -120,8 +126,10 @@ class VirtualCamera:
         serial: str = "1",
         line_rate_hz: float | None = None,
         make: type[Make] = Flea3Registers,
+        moved_s: Callable[[], float] = lambda: -inf,
     ) -> None:
         self.bench, self.faults, self._lock = bench, CameraFaults(), threading.RLock()
+        self._moved_s = moved_s
         model = make.model
         if line_rate_hz is not None:
             model = replace(model, line_rate_hz=line_rate_hz)
@@ -272,8 +280,9 @@ class VirtualCamera:
         shot = self._shot(self._frame, train)
         late = int((clock.now_s() - shot.read_out_s) / train.period_s)
         kept = BYTES_KEPT // (shot.region[2] * shot.region[3])
-        if clock.real_time and late > kept:
-            self._frame += late - kept
+        if clock.real_time and late >= LATE_FRAMES:
+            outdated_s = max(self._moved_s() - shot.read_out_s, 0.0)
+            self._frame += max(late - kept, min(late, ceil(outdated_s / train.period_s)), 0)
         if self.faults.drop_frames:
             self._frame += self.faults.drop_frames
             self.faults.drop_frames = 0
