@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication, QWidget
+from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
 
 from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
@@ -221,6 +221,33 @@ def test_the_rig_panel_connects_sets_up_parks_and_remembers(viewer, qtbot, tmp_p
     panel.connect.native.click()
     qtbot.waitUntil(lambda: not exists(small_engine[0].pid), timeout=30_000)
     qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
+
+
+def type_into(field, text, qtbot):
+    """Replace the number in a field by typing."""
+    line = field.native.findChild(QLineEdit)
+    qtbot.mouseClick(line, Qt.MouseButton.LeftButton)
+    line.selectAll()
+    QTest.keyClicks(line, text)
+    QTest.keyClick(line, Qt.Key.Key_Return)
+
+
+def test_numbers_are_applied_whole_once_they_are_typed(viewer, qtbot, small_engine):
+    """Before: 120 Hz was first 1 Hz and 12 Hz, and 500 Hz silently became 50 Hz."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    rig.connect.native.click()
+    qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.requests.busy, timeout=60_000)
+    applied, configure = [], rig.connection.configure
+    rig.connection.configure = lambda settings: (applied.append(settings), configure(settings))[1]
+    for field, text in ((rig.rate_hz, "500"), (rig.slit_rows, "12"), (rig.gain_db, "30"), (rig.slit_rows, "120")):
+        type_into(field, text, qtbot)
+        assert "Applying settings" in rig.status.text()
+        qtbot.waitUntil(lambda: not rig.requests.busy, timeout=30_000)
+    assert [(one.frame_rate_hz, one.slit_rows, one.gain_db) for one in applied] == [
+        (500, 3, 0), (500, 12, 0), (500, 12, 30), (500, 120, 30),
+    ]  # fmt: skip
+    assert "a slit of 120 rows: choose a smaller one" in problems.newest
+    assert rig.settings == Settings("240hz", 12, 500.0, 30.0)
 
 
 def test_the_rig_panel_displays_the_settings_by_which_another_panel_connected(viewer, qtbot, small_engine):

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 SECTION: Final = "rig"
 STATUS_MS: Final = 200
 """Interval of the status text, milliseconds; chosen, faster than it can be read."""
-MAX_SLIT_ROWS: Final = 60
-"""Largest slit width offered, rows; chosen, beyond any useful sectioning."""
+MAX_TYPED: Final = 9999
+"""Largest slit width, rate and gain that can be typed; chosen, beyond any camera's, which states its limit."""
 
 
 def remembered_rig() -> str:
@@ -215,16 +215,16 @@ class RigPanel(EnginePanel):
             tooltip="Camera region and objective",
         )
         self.slit_rows = SpinBox(
-            value=last.slit_rows, min=1, max=MAX_SLIT_ROWS, label="slit (rows)",
-            tooltip=f"Slit width, the exposure in line periods: 1 to {MAX_SLIT_ROWS} rows",
+            value=last.slit_rows, min=1, max=MAX_TYPED, label="slit (rows)",
+            tooltip="Slit width, the exposure in line periods: 1 row or more",
         )  # fmt: skip
         self.rate_hz = FloatSpinBox(
-            value=last.frame_rate_hz or 0, min=0, max=240, step=10, label="rate (Hz)",
-            tooltip="Frame rate, up to 240 Hz; 0 is the highest of the preset",
+            value=last.frame_rate_hz or 0, min=0, max=MAX_TYPED, step=10, label="rate (Hz)",
+            tooltip="Frame rate; 0 is the highest of the preset",
         )  # fmt: skip
         self.rate_hz.native.setSpecialValueText("highest")
         self.gain_db = FloatSpinBox(
-            value=last.gain_db, min=0, max=24, step=1, label="gain (dB)", tooltip="Camera gain, 0 to 24 dB"
+            value=last.gain_db, min=0, max=MAX_TYPED, step=1, label="gain (dB)", tooltip="Camera gain"
         )
         self.connect, self.parking = push_button("Connect", self.toggle), push_button("Park", self.park)
         self.calibrate_simulated = push_button("Calibrate simulated rig", self.calibrate)
@@ -245,6 +245,8 @@ class RigPanel(EnginePanel):
         layout.addStretch(1)
         bind_keys(self, {"park": self.park})
         self.lag.clicked.connect(self.measure_lag)
+        for number in (self.slit_rows, self.rate_hz, self.gain_db):
+            number.native.setKeyboardTracking(False)  # 120 Hz is not first 1, then 12 Hz
         for choice in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             choice.changed.connect(self.apply)
 
@@ -294,7 +296,9 @@ class RigPanel(EnginePanel):
         lines += [f"Stale: {section} ({reason})" for section, reason in status.stale.items()]
         lines += [status.notice] if status.notice else []
         lines += [str(fault) for fault in status.faults]
-        if not status.live:
+        if busy:
+            lines.append("Applying settings...")
+        elif not status.live:
             lines.append(next_hint(self._next_action()))
         return "<br>".join(lines)
 
