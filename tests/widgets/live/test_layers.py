@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from napari_elsplus._writer import write_image
+from napari_elsplus.acquisition.engine.live_images import display_layout
+from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.io import open_recording
 from napari_elsplus.widgets.live.layers import LiveLayers
 from pairs import calibration, write_pair
@@ -34,3 +37,44 @@ def test_the_scale_of_other_layers_is_not_saved_as_that_of_live_images(viewer, t
         with open_recording(tmp_path / "live.tif") as back:
             found.append(back.metadata.get("um_per_px"))
     assert found == [None, 2.0, None]
+
+
+@pytest.fixture
+def stream(viewer):
+    """Live layers, and a function that displays a frame of noise and so many grey levels of light."""
+    layout = display_layout((64, 128), 32)
+    ring, layers = Ring(bytearray(layout.nbytes), layout), LiveLayers(viewer)
+    layers.arrange(["ls", "raw"], ring, None, side_by_side=True)
+    noise = np.random.default_rng(1).normal(0, 0.5, (32, 32))
+
+    def show(light, *, whole=True):
+        slot = ring.acquire()
+        slot.arrays["ls"][...] = noise
+        slot.arrays["ls"][8:24, 8:24] += light
+        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+        layers.update(ring, whole=whole)
+        return tuple(layers.images["ls"].contrast_limits)
+
+    return layers, show
+
+
+def test_contrast_of_once_is_that_of_the_first_frame_with_light(stream):
+    """Before: a stream that began in the dark, laser off or galvo parked, was white ever after."""
+    layers, show = stream
+    assert show(0)[1] < 5
+    assert show(100, whole=False)[1] < 5, "a full refresh is due once a second"
+    lit = show(100)
+    assert lit == (0, pytest.approx(101, abs=3))
+    assert show(200) == show(0) == lit
+    assert tuple(layers.images["raw"].contrast_limits) == (0, 255)
+
+
+def test_contrast_that_the_user_sets_in_the_dark_stays(stream):
+    layers, show = stream
+    show(0)
+    layers.images["ls"].contrast_limits = (0, 40)
+    assert show(100) == (0, 40)
+    show(0)
+    layers.rescale_contrast("ls")
+    layers.keep_contrast()
+    assert show(100)[1] < 5

@@ -60,7 +60,7 @@ class LiveForm:
         )
         self.contrast = ComboBox(
             choices=[ONCE, CONTINUOUS, FIXED], label="contrast",
-            tooltip="Contrast limits from the first frame, updated every second, or set by the user only",
+            tooltip="Contrast limits from the first frame with light, updated every second, or set by the user only",
         )  # fmt: skip
         self.background = CheckBox(
             value=last.get("background", True), text="background", tooltip="Subtract the background of the calibration"

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
 """Titles of the images, by field of the display ring."""
+MIN_LIT: Final = 10.0
+"""Grey level of white below which an image is dark: the galvo is parked, or the laser off. Chosen: noise without light
+is a few grey levels, and a dimmer image loses nothing, since its contrast follows it."""
 
 
 @cache
@@ -62,6 +65,7 @@ class LiveLayers:
         self._titles: Points | None = None
         self._last_sequence = -1
         self._unscaled: set[str] = set()
+        self._dark: dict[str, tuple[float, float]] = {}
         self._begins = True
 
     @property
@@ -180,7 +184,7 @@ class LiveLayers:
             if not layer.visible:
                 continue
             first = kind in self._unscaled
-            if first:
+            if first or (whole and self._dark.get(kind) == tuple(layer.contrast_limits)):
                 self._unscaled.discard(kind)
                 self.rescale_contrast(kind)
             if whole or first:
@@ -190,7 +194,10 @@ class LiveLayers:
         return stamp
 
     def rescale_contrast(self, kind: str) -> None:
-        """Set the contrast limits of a kind's layer: 0.01 % of the pixels saturated, or all grey levels for raw."""
+        """Set the contrast limits of a kind's layer: 0.01 % of the pixels saturated, or all grey levels for raw.
+
+        Those of a dark image are set anew by :meth:`update` until it is lit, unless the user has changed them.
+        """
         layer = self.images[kind]
         if kind == RAW:
             layer.contrast_limits = (0, largest_level(layer.data))
@@ -198,6 +205,13 @@ class LiveLayers:
         image = np.asarray(layer.data)
         white = white_level(image, np.ones(image.shape, bool))
         layer.contrast_limits = (0.0, max(float(white), 1.0))
+        self._dark.pop(kind, None)
+        if white < MIN_LIT:
+            self._dark[kind] = tuple(layer.contrast_limits)
+
+    def keep_contrast(self) -> None:
+        """Leave the contrast limits of dark images as they are."""
+        self._dark.clear()
 
     def _arrange_titles(self, corners: dict[str, tuple[float, float]], place: dict[str, Any]) -> None:
         """Write each image's kind above it, at its corner (row, col) in pixels of a scale and units."""

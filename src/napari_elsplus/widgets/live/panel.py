@@ -212,7 +212,9 @@ class LivePanel(EnginePanel):
                 self.rescale_contrast()
 
     def _contrast_chosen(self, chosen: str) -> None:
-        if chosen != FIXED:
+        if chosen == FIXED:
+            self.layers.keep_contrast()
+        else:
             self.rescale_contrast()
 
     @property
