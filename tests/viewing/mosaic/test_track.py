@@ -137,3 +137,4 @@ def test_speed_is_what_the_last_frames_say() -> None:
     assert speed.tracked == pytest.approx(9 / 12)
     assert np.isnan(probe_speed([point(0, 0, 0)], 100.0).share)
     assert np.isnan(probe_speed([], 100.0).px_per_frame)
+    assert np.isnan(probe_speed([], 100.0).tracked)

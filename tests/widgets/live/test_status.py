@@ -45,7 +45,7 @@ def test_a_parked_galvo_is_said_while_dark_frames_stream():
     parked = Status(live=True, park_state=ParkState(ParkStage.PARKED))
     text = status_text(parked, scanned, 30.0, busy=False)
     assert "the galvo is parked" in text
-    assert "press Stop, then Start" in text
+    assert "press Stop, then Start, in Live" in text
     assert "calibrate, or load a calibration" in status_text(parked, None, 30.0, busy=False)
     driven = Status(live=True, scanning=True, park_state=ParkState(ParkStage.DRIVEN))
     assert "parked" not in status_text(driven, scanned, 30.0, busy=False)

@@ -293,14 +293,14 @@ class Speed:
     max_um_per_s : float
         Largest trackable speed.
     tracked : float
-        Fraction of the latest frames that were tracked, 0 to 1.
+        Fraction of the latest frames that were tracked, 0 to 1; NaN before the first frame.
     """
 
     px_per_frame: float = nan
     max_px_per_frame: float = nan
     um_per_s: float = nan
     max_um_per_s: float = nan
-    tracked: float = 0.0
+    tracked: float = nan
 
     @property
     def share(self) -> float:

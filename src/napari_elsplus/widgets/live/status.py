@@ -55,10 +55,8 @@ def status_text(
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
     ]
-    if status.park_state.parked:
-        scanned = calibration is not None and calibration.galvo is not None
-        remedy = "press Stop, then Start." if scanned else "calibrate, or load a calibration."
-        lines.append(f"{amber('the galvo is parked: frames are dark')} {next_hint(remedy)}")
+    if parked := parked_advice(status, calibration):
+        lines.append(parked)
     lines += _recorded(status)
     measures = status.measures
     sharpness = f", sharpness (relative) {measures.focus:.3g}" if isfinite(measures.focus) else ""  # none of the dark
@@ -68,6 +66,23 @@ def status_text(
     lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
     lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)
+
+
+def parked_advice(status: Status, calibration: Calibration | None) -> str:
+    """Return that frames are dark because the galvo is parked, and what to do, as rich text; empty if it is not so.
+
+    Parameters
+    ----------
+    status : Status
+        Of the engine.
+    calibration : Calibration or None
+        The active calibration.
+    """
+    if not (status.live and status.park_state.parked):
+        return ""
+    scanned = calibration is not None and calibration.galvo is not None
+    remedy = "press Stop, then Start, in Live." if scanned else "calibrate, or load a calibration."
+    return f"{amber('the galvo is parked: frames are dark')} {next_hint(remedy)}"
 
 
 def _recorded(status: Status) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,7 +9,6 @@ from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
-from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
@@ -23,6 +21,7 @@ from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
+from napari_elsplus.widgets.mosaic.status import mosaic_text, track_text
 from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
@@ -252,7 +251,9 @@ class MosaicPanel(EnginePanel):
         self.form.status.setText(self._status_text())
         if self._shown is not None:
             scale = self._shown.scale
-            self.form.speed.show_speed(probe_speed(self._shown.rows, scale.max_px_per_frame, scale.camera_um_per_px))
+            speed = probe_speed(self._shown.rows, scale.max_px_per_frame, scale.camera_um_per_px)
+            lit = client is not None and not client.status.park_state.parked
+            self.form.speed.show_speed(speed, growing=busy or (self.live and lit))
 
     def cleanup(self) -> None:
         """Release the engine and disconnect from the viewer; the layers remain."""
@@ -334,32 +335,20 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def _status_text(self) -> str:
-        drawing = self.layers.drawing
-        client = self.connection.client
-        if client is not None and client.status.progress is not None:
-            step = client.status.progress
-            return f"Calibrating: {step.step}, {step.done} of {step.total}"
+        drawing, client = self.layers.drawing, self.connection.client
+        status = None if client is None else client.status
+        calibration = self.connection.calibration
+        if status is not None and status.progress is not None:
+            return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
         if self._shown is None or drawing is None:
-            if client is not None and client.status.compiling:
-                return compilation_remark(client.status.compiling).capitalize()
+            if status is not None and status.compiling:
+                return compilation_remark(status.compiling).capitalize()
             waiting = self.work.busy or self.requests.busy
             return "Starting..." if waiting else next_hint(HINT)
-        counts = self._shown.rows.counts
-        total = sum(counts.values())
-        text = f"<b>{counts['tracked']}</b> of {total} frames tracked"
-        text += f" in {drawing.segments} segments" if drawing.segments > 1 else ""
-        text += "".join(f", {counts[state]} {state}" for state in ("predicted", "lost") if counts[state])
-        um = self._shown.scale.um_per_px
-        area_mm2 = self.layers.covered_px * (um or float("nan")) ** 2 * 1e-6
-        text += f"; {area_mm2:.2g} mm\N{SUPERSCRIPT TWO}." if isfinite(area_mm2) else "."
-        track = None if client is None or not isinstance(self._shown, LiveMosaicView) else client.status.track
-        if track is not None and track.loop_closures:
-            text += f" Loop closures: {track.loop_closures}."
-        if track is not None and not track.rerenders:
-            text += " Not enough memory to re-render: loop closures no longer correct the mosaic."
-        if track is not None and track.running and (advice := lag_advice(self.connection.calibration)):
-            text += f" {advice}"
-        return text
+        text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px)
+        if status is None or not isinstance(self._shown, LiveMosaicView):
+            return text
+        return f"{text}{track_text(status, calibration)}"
 
     def _chosen(self) -> Image:
         return chosen_image(self.form.recording, "stack")

@@ -56,14 +56,22 @@ class SpeedBar(QWidget):
         """Use the colours of a napari theme, given by name, from the next speed on."""
         self._theme = theme
 
-    def show_speed(self, speed: Speed | None) -> None:
-        """Show a speed; None if unknown."""
-        if speed is None or not (isfinite(speed.share) or speed.tracked < MIN_TRACKED_SHARE):
+    def show_speed(self, speed: Speed | None, *, growing: bool = False) -> None:
+        """Show a speed; None if unknown.
+
+        Parameters
+        ----------
+        speed : Speed or None
+            Of the latest frames.
+        growing : bool
+            Frames with light are being inserted, so that a track can be lost.
+        """
+        losing = growing and speed is not None and speed.tracked < MIN_TRACKED_SHARE
+        if speed is None or not (isfinite(speed.share) or losing):
             self._fill(0)
             self._label.setText("speed: not measured yet")
             return
         share = speed.share if isfinite(speed.share) else 1.0
-        losing = speed.tracked < MIN_TRACKED_SHARE
         colour = (
             "vermilion" if losing or share > MAX_SPEED_SHARE else "orange" if share > WARNING_SPEED_SHARE else "green"
         )
