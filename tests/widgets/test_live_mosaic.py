@@ -154,6 +154,20 @@ def test_an_unsaved_live_mosaic_is_replaced_only_if_the_user_agrees(viewer, pane
     assert len(questions) == 2
 
 
+def test_an_unsaved_live_mosaic_is_cleared_only_if_the_user_agrees(viewer, panel, qtbot, questions):
+    """Before: Ctrl+Shift+K, beside the key of the live mosaic, discarded it."""
+    go_live(viewer, panel, qtbot)
+    questions.answer = False
+    panel.form.clearing.native.click()
+    assert questions == ["The mosaic was not saved. Discard it?"]
+    assert panel.live
+    assert "mosaic LS" in viewer.layers
+    questions.answer = True
+    panel.form.clearing.native.click()
+    qtbot.waitUntil(lambda: panel.connection.client.status.track is None, timeout=30_000)
+    assert "mosaic LS" not in viewer.layers
+
+
 def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, panel, qtbot):
     go_live(viewer, panel, qtbot)
     first = panel._shown

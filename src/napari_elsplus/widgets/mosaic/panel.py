@@ -177,7 +177,10 @@ class MosaicPanel(EnginePanel):
         return "The mosaic was not saved. Discard it?" if lost else ""
 
     def clear(self) -> None:
-        """Remove the mosaics, and restore hidden layers."""
+        """Remove the mosaics, and restore hidden layers; an unsaved live mosaic only if the user agrees."""
+        question = self.unsaved() if isinstance(self._shown, LiveMosaicView) else ""
+        if question and not closing.confirm(self, question):
+            return
         if self.work.busy:
             self.work.cancel()
         client = self.connection.client
