@@ -27,10 +27,13 @@ from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.processing.calibration.slit_offset import measure_offset
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState, Target
 from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
+from napari_elsplus.processing.calibration.summaries import with_uncertainty
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
+from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Still
+from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
 from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
@@ -261,9 +264,28 @@ def test_themes_and_loading(viewer, panel, qtbot, open_recording, tmp_path):
     panel.load(tmp_path / "cal.json")
     panel.choose("offset")
     assert state(panel, "offset") is StepState.DONE
-    assert panel.form.headline.text() == "loaded from file"
+    assert panel.form.headline.text() == "not measured in this session"
+    known = panel.draft.calibration.offset
+    rows, *_ = panel.form.numbers.text().split("<br>")
+    assert rows == f"slit offset {with_uncertainty(known.rows, known.uncertainty_rows)} rows"
     panel.form.undo.click()
     assert state(panel, "offset") is StepState.MISSING
+
+
+def test_a_calibration_that_was_measured_elsewhere_states_its_numbers(panel, tmp_path):
+    """Before: it was called loaded from a file, also that of the Rig panel, and no number was displayed."""
+    known = true_calibration(Instrument.of("240hz", offset_um=-29), np.full((524, 1328), 4, np.float32))
+    panel.load(write_calibration(tmp_path / "known.json", known))
+    done = [step.key for step in calibration_steps() if state(panel, step.key) is StepState.DONE]
+    assert {"offset", "galvo", "pair", "background"} <= set(done)
+    for key in done:
+        panel.form.steps[key].click()
+        assert panel.form.headline.text() == "not measured in this session"
+        numbers = panel.form.numbers.text()
+        assert any(digit in numbers for digit in "123456789"), key
+    panel.form.steps["offset"].click()
+    assert f"slit offset {known.offset.rows:.2f}" in panel.form.numbers.text()
+    assert "µm" in panel.form.numbers.text()
 
 
 def test_closing_the_dock_while_it_measures_leaves_no_panel_no_engine_and_no_thread(viewer, qtbot, said):

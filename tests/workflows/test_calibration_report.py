@@ -37,7 +37,7 @@ def texts(figure) -> str:
 def test_it_states_numbers_uncertainties_and_the_date(draft: Draft) -> None:
     first, offset, pair = (texts(page) for page in draw_calibration_report(draft))
     assert draft.calibration.created[:10] in first
-    for name, value, _ in calibration_numbers(draft.calibration):
+    for _, name, value, _ in calibration_numbers(draft.calibration):
         assert name in first
         assert value in first
     assert "missing" in first

@@ -292,10 +292,16 @@ def summarize_background(background: Background, draft: Draft, _setup: Setup) ->
 
 def summarize_flat_field(flat: NDArray[np.float32], draft: Draft, _setup: Setup) -> StepSummary:
     """Summarize a flat field: its unevenness; see :class:`CalibrationStep`."""
-    inside = disc(len(flat), USED_DIAMETER * len(flat))
-    unevenness, structure = 100 * float(flat[inside].std()), structure_of_flat_field(flat, draft.calibration)
+    structure = structure_of_flat_field(flat, draft.calibration)
     warnings = [f"{_varies(structure)}: it is not used; take it on an even target"] * (structure > MAX_STRUCTURE)
-    return StepSummary(f"{unevenness:.1f} % uneven", ["standard deviation in the 90 % disc, cores included"], warnings)
+    return StepSummary(
+        f"{100 * unevenness(flat):.1f} % uneven", ["standard deviation in the 90 % disc, cores included"], warnings
+    )
+
+
+def unevenness(flat: NDArray[np.float32]) -> float:
+    """Return the standard deviation of a flat field `flat` (n, n) in its 90 % disc, relative to its mean of 1."""
+    return float(flat[disc(len(flat), USED_DIAMETER * len(flat))].std())
 
 
 def _varies(structure: float) -> str:

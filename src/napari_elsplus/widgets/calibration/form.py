@@ -31,12 +31,13 @@ from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import key_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from napari_elsplus.instrument.calibration import OpticsSection
     from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.workflows.calibration_report.picture import Picture
+    from napari_elsplus.workflows.calibration_report.report import Number
 
 MARKS: Final = {
     StepState.DONE: "\N{CHECK MARK}",
@@ -213,6 +214,11 @@ class Form:
     def show_headline(self, text: str) -> None:
         """Display a text in place of the headline."""
         self.headline.setText(text)
+
+    def show_numbers(self, numbers: Sequence[Number]) -> None:
+        """Display the `numbers` of a step that was not measured here, for which there is no picture."""
+        self.headline.setText("not measured in this session")
+        self.numbers.setText("<br>".join(" ".join(part for part in one[1:] if part) for one in numbers))
 
     def show_picture(self, picture: Picture | None, *, numbers: bool = True) -> None:
         """Display a step's picture.

@@ -36,7 +36,7 @@ from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
 from napari_elsplus.workflows.calibration_report.history import history_beside
-from napari_elsplus.workflows.calibration_report.report import save_calibration_report
+from napari_elsplus.workflows.calibration_report.report import calibration_numbers, save_calibration_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -392,7 +392,7 @@ class CalibrationPanel(Panel):
             present=any(step.state(draft)[0] is not StepState.MISSING for step in calibration_steps()),
         )
         if shown is None and step.state(draft)[0] is not StepState.MISSING:
-            form.show_headline("loaded from file")
+            form.show_numbers([one for one in calibration_numbers(draft.calibration) if one.step == self.key])
         show_bundle(self.viewer, shown, draft)
 
     def _theme_changed(self) -> None:

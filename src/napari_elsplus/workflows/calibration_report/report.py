@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
@@ -15,7 +15,7 @@ from napari_elsplus.io import refuse_suffix, replacing
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.step import StepState
 from napari_elsplus.processing.calibration.steps import calibration_steps
-from napari_elsplus.processing.calibration.summaries import with_uncertainty
+from napari_elsplus.processing.calibration.summaries import unevenness, with_uncertainty
 from napari_elsplus.workflows.calibration_report.plots import picture
 
 if TYPE_CHECKING:
@@ -92,45 +92,69 @@ def draw_calibration_report(draft: Draft, history: CalibrationHistory | None = N
         yield _history_page(history)
 
 
-def calibration_numbers(calibration: Calibration) -> list[tuple[str, str, str]]:
-    """Return the numbers of a calibration as rows of quantity, value with one standard deviation, and unit.
+class Number(NamedTuple):
+    """A number of a calibration in words.
+
+    Parameters
+    ----------
+    step : str
+        Key of the step that measures it; empty for the optics.
+    quantity, value, unit : str
+        Value with one standard deviation; empty where another row or none has it.
+    """
+
+    step: str
+    quantity: str
+    value: str
+    unit: str
+
+
+def calibration_numbers(calibration: Calibration) -> list[Number]:
+    """Return the numbers of a calibration, each value with one standard deviation.
 
     Parameters
     ----------
     calibration : Calibration
-        Complete or not; a section that was not measured has no rows.
+        Complete or not; a section that was not measured has none.
     """
-    rows: list[tuple[str, str, str]] = []
+    rows: list[Number] = []
     offset, galvo, bundle = calibration.offset, calibration.galvo, calibration.bundle
     optics, quality, scale = calibration.optics, calibration.quality, calibration.um_per_px
     if offset is not None:
-        rows.append(("slit offset", with_uncertainty(offset.rows, offset.uncertainty_rows), "rows"))
+        rows.append(Number("offset", "slit offset", with_uncertainty(offset.rows, offset.uncertainty_rows), "rows"))
         if scale is not None:
-            rows.append(("", with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale), "µm"))
-        rows.append(("tilt of the line", f"{offset.tilt_deg:.3f}", "degrees"))
+            um = with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)
+            rows.append(Number("offset", "", um, "µm"))
+        rows.append(Number("offset", "tilt of the line", f"{offset.tilt_deg:.3f}", "degrees"))
     if galvo is not None:
-        rows.append(("galvo", _maybe(1e3 * galvo.volts_per_row, galvo.volts_per_row_uncertainty, 1e3), "mV per row"))
+        per_row = _maybe(1e3 * galvo.volts_per_row, galvo.volts_per_row_uncertainty, 1e3)
         at_zero = _maybe(1e3 * galvo.volts_at_row_zero, galvo.volts_at_row_zero_uncertainty, 1e3)
-        rows.append(("galvo at row 0", at_zero, "mV"))
-        rows.append(("residuals of the galvo map", f"{galvo.rms_rows:.3f}", "rows RMS"))
-        lag = "not measured" if galvo.lag_s is None else f"{1e6 * galvo.lag_s:.2f}"
-        rows.append(("scan lag", lag, "" if galvo.lag_s is None else "µs"))
+        rows.append(Number("galvo", "galvo", per_row, "mV per row"))
+        rows.append(Number("galvo", "galvo at row 0", at_zero, "mV"))
+        rows.append(Number("galvo", "residuals of the galvo map", f"{galvo.rms_rows:.3f}", "rows RMS"))
+        lag = ("not measured", "") if galvo.lag_s is None else (f"{1e6 * galvo.lag_s:.2f}", "µs")
+        rows.append(Number("lag", "scan lag", *lag))
     if bundle is not None:
         for name, centre in (("confocal", bundle.confocal_centre), ("residual", bundle.residual_centre)):
-            rows.append((f"{name} centre (row, col)", f"{centre[0]:.2f}, {centre[1]:.2f}", "px"))
-        rows.append(("bundle diameter", _maybe(bundle.diameter_px, bundle.diameter_uncertainty_px), "px"))
+            rows.append(Number("pair", f"{name} centre (row, col)", f"{centre[0]:.2f}, {centre[1]:.2f}", "px"))
+        rows.append(Number("pair", "bundle diameter", _maybe(bundle.diameter_px, bundle.diameter_uncertainty_px), "px"))
         gain = with_uncertainty(bundle.residual_gain, bundle.residual_gain_uncertainty)
-        rows.append(("gain of the residual view", gain, ""))
+        rows.append(Number("pair", "gain of the residual view", gain, ""))
     if scale is not None:
-        rows.append(("scale", f"{scale:.4f}", "µm per px"))
+        rows.append(Number("pair", "scale", f"{scale:.4f}", "µm per px"))
     if optics is not None and optics.line_period_s is not None:
-        rows.append(("line period", f"{1e6 * optics.line_period_s:.3f}", "µs"))
+        rows.append(Number("", "line period", f"{1e6 * optics.line_period_s:.3f}", "µs"))
     if optics is not None and optics.line_periods_per_frame is not None:
-        rows.append(("line periods per frame", f"{optics.line_periods_per_frame:.2f}", ""))
+        rows.append(Number("", "line periods per frame", f"{optics.line_periods_per_frame:.2f}", ""))
     if quality is not None:
-        rows.append(("alignment error", f"{100 * quality.alignment_error:.2f}", "%"))
+        rows.append(Number("pair", "alignment error", f"{100 * quality.alignment_error:.2f}", "%"))
         filtered = f"{100 * quality.alignment_error_filtered:.2f}"
-        rows.append((f"after the {quality.core_filter} filter", filtered, "%"))
+        rows.append(Number("pair", f"after the {quality.core_filter} filter", filtered, "%"))
+    if calibration.background is not None:
+        level = f"{float(calibration.background.mean()):.2f}"
+        rows.append(Number("background", "mean of the background", level, "grey levels"))
+    if calibration.flat is not None:
+        rows.append(Number("flat", "unevenness", f"{100 * unevenness(calibration.flat):.1f}", "%"))
     return rows
 
 
@@ -170,7 +194,7 @@ def _summary_page(draft: Draft) -> Figure:
     facts.append(f"napari-elsplus {__version__}; uncertainties are one standard deviation")
     figure.text(0.1, 0.925, "\n".join(fact for fact in facts if fact), fontsize=9, va="top", linespacing=1.5)
     rows = [("step", "state", ""), *_states(draft), ("", "", ""), ("quantity", "value", "unit")]
-    rows += calibration_numbers(calibration)
+    rows += [number[1:] for number in calibration_numbers(calibration)]
     for line, cells in enumerate(rows):
         weight = "bold" if cells[0] in ("step", "quantity") else "normal"
         for left, cell in zip((0.1, 0.45, 0.72), cells, strict=True):
