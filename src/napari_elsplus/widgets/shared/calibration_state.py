@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 AMBER: Final = "#e69f00"
-"""Orange of the palette of Okabe and Ito (2008); legible on dark and light themes."""
+"""Orange of the palette of Okabe and Ito (2008)."""
 
 
 def amber(text: str) -> str:
-    """Return rich text of a warning, in bold amber."""
-    return f"<b style='color:{AMBER}'>{text}</b>"
+    """Return rich text of a warning, black on amber: amber itself would not be legible on a light theme."""
+    return f"<b style='background-color:{AMBER}; color:black'>{text}</b>"
 
 
 def calibration_name(calibration: Calibration | None, file: Path | None) -> str:
