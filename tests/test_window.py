@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from npe2 import PluginManifest
-from qtpy.QtCore import QTimer
+from qtpy.QtCore import QSize, QTimer
 from qtpy.QtWidgets import QDockWidget, QMessageBox
 
 from napari_elsplus import _sample_data, _window
@@ -44,6 +44,15 @@ def test_the_window_shows_what_the_manifest_offers(
     assert list(titles.text.values) == ["LS", "residual", "ELS+"]
     assert viewer.layers.selection.active is shown[-1]
     assert viewer.canvas.overlays.scale_bar.visible
+
+
+@pytest.mark.parametrize(
+    ("screen", "window"),
+    [((1280, 800), (1280, 800)), ((1600, 1000), (1440, 900)), ((2560, 1440), (2176, 1224)), ((1366, 768), (1366, 768))],
+)
+def test_the_first_window_takes_all_of_a_small_screen(screen: tuple[int, int], window: tuple[int, int]) -> None:
+    """Before: on 1280 x 800 a third of the window was left for the images."""
+    assert _window.first_size(QSize(*screen)) == QSize(*window)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Final
 
 import napari
 from napari.settings import get_settings
-from qtpy.QtCore import QTimer
+from qtpy.QtCore import QSize, QTimer
 from qtpy.QtGui import QGuiApplication
 from qtpy.QtWidgets import QApplication
 
@@ -19,6 +19,8 @@ DOCK: Final = "ELS+"
 SAMPLE: Final = "recording"
 SHARE_OF_SCREEN: Final = 0.85
 """Size of the first window relative to the screen; chosen."""
+MIN_SIZE: Final = QSize(1440, 900)
+"""Of the first window, pixels, where the screen has as many; chosen: some 650 are left between the docks for images."""
 SIGNALS_MS: Final = 100
 """Period in which signals are handled, milliseconds; chosen: below the 0.5 s in which the galvo parks."""
 
@@ -30,6 +32,17 @@ def fill(viewer: napari.Viewer) -> None:
     viewer.open_sample(PLUGIN, SAMPLE)
     viewer.canvas.overlays.scale_bar.visible = True
     QTimer.singleShot(0, lambda: QTimer.singleShot(0, viewer.reset_view))  # after the layout has resized the canvas
+
+
+def first_size(screen: QSize) -> QSize:
+    """Return the size of the first window, in pixels: napari's is too small for a panel beside images.
+
+    Parameters
+    ----------
+    screen : QSize
+        What is free on the screen.
+    """
+    return (screen * SHARE_OF_SCREEN).expandedTo(MIN_SIZE).boundedTo(screen)
 
 
 def close_at_once(viewer: napari.Viewer) -> None:
@@ -74,7 +87,7 @@ def main() -> None:
     viewer = napari.Viewer()
     screen = QGuiApplication.primaryScreen()
     if get_settings().application.window_size is None and screen is not None:
-        size = screen.availableSize() * SHARE_OF_SCREEN  # napari's default is too small for a panel beside images
+        size = first_size(screen.availableSize())
         viewer.window.resize(size.width(), size.height())
     fill(viewer)
     timer = close_on_signals(viewer)
