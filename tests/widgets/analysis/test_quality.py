@@ -41,11 +41,14 @@ def test_alignment_is_told_of_the_frame_that_is_shown(viewer, panel):
 
 
 def test_elements_are_measured_as_they_are_drawn(viewer, panel, qtbot):
+    panel.align.native.click()
     mark(panel, qtbot)
+    assert "draw a box" in panel.numbers.text(), "beside the alignment"
     boxes = viewer.layers["quality elements"]
     assert boxes.mode == "add_rectangle"
     boxes.add_rectangles(np.array([[10, 10], [30, 30]]))
     assert panel.boxes_px == [(10, 10, 30, 30)]
+    assert "draw a box" not in panel.numbers.text()
     (one,) = panel.resolution.elements
     assert f"{one.group}-{one.element}" in panel.numbers.text()
     ls = viewer.layers["scan LS"]

@@ -69,6 +69,7 @@ HINT: Final = (
     "a USAF 1951 target, and draw a box closely around the three bars of each element. <b>Edge map</b>: select a "
     "recording of a moving probe."
 )
+DRAW: Final = "draw a box closely around the three bars of each element; the contrast is that of the LS image."
 
 
 class QualityPanel(AnalysisPanel):
@@ -163,6 +164,8 @@ class QualityPanel(AnalysisPanel):
                 f"<b>Residual at the rim</b> {top:.2f} (top) and {bottom:.2f} (bottom) of the central level, "
                 f"mean of {self.edge.frames} frames"
             )
+        if self._boxes is not None and not self.boxes_px:
+            parts.append(next_hint(DRAW))
         hint = next_hint(HINT if self.recording.choices else OPEN_RECORDING_FIRST)
         self.numbers.setText("<br>".join(parts) or hint)
         set_enabled(
