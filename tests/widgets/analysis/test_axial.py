@@ -76,6 +76,37 @@ def test_frames_are_taken_by_hand_at_the_depths_that_are_set(viewer, panel, scan
     assert said() == []
 
 
+def test_an_unsaved_manual_scan_is_discarded_only_if_the_user_agrees(viewer, panel, scan_file, questions, tmp_path):
+    """Before: closing the window or Clear discarded it, and the plate would have to be moved through again."""
+    viewer.window.show()
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    panel.source.value = MANUAL
+    assert "Add frame" in panel.numbers.text()
+    panel.take.native.click()
+    questions.answer = False
+    panel.clear_scans()
+    panel.window().close()
+    assert questions == ["The manual scan was not saved. Discard it?"] * 2
+    assert "1 of at least 3" in panel.numbers.text()
+    for _ in range(2):
+        panel.take.native.click()
+    panel.save_to(tmp_path / "scan.json")
+    panel.clear.native.click()
+    assert len(questions) == 2
+    assert panel.scans == []
+
+
+def test_the_next_action_can_be_done(viewer, panel, scan_file):
+    """Before: it was to measure a scan, whose button was disabled."""
+    for source, action in ((STACK, "open a scan"), (MANUAL, "open a recording"), (SIMULATED, "Simulate and measure")):
+        panel.source.value = source
+        assert action in panel.numbers.text()
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    for source, action in ((STACK, "press Measure"), (MANUAL, "press Add frame")):
+        panel.source.value = source
+        assert action in panel.numbers.text()
+
+
 def test_a_live_image_is_a_single_frame(viewer, panel):
     live = Image(frames()[2], name="live raw", metadata={"elsplus": {"kind": "raw", "calibration": calibration()}})
     viewer.layers.append(live)

@@ -41,6 +41,8 @@ from napari_elsplus.widgets.shared.panel import (
     set_enabled,
 )
 from napari_elsplus.widgets.shared.problems import notify_errors
+from napari_elsplus.widgets.shared.window import closing
+from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -50,7 +52,9 @@ STACK, MANUAL, SIMULATED = "axial stack", "manual steps", "simulated instrument"
 OPEN_SCAN: Final = "open a scan with NAME.depths.csv and a calibration beside it, or the sample axial scan"
 WAIT: Final = "wait until the present scan is measured"
 CURVES: Final = "signal and depth"
-HINT: Final = "measure a scan for its drop-offs; several scans give drop-offs against slit offset or width."
+MANY: Final = "several scans give drop-offs against slit offset or width."
+MIN_DEPTHS: Final = 3
+"""Of a manual scan; a response has that many."""
 
 
 class AxialResponsePanel(AnalysisPanel):
@@ -65,7 +69,8 @@ class AxialResponsePanel(AnalysisPanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer, "distance / µm", "signal")
         self.scans: list[Scan] = []
-        self._manual = ManualScan()
+        self._manual, self._saved = ManualScan(), True
+        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
         self._build()
         self.source.changed.connect(self._source_changed)
         self.shown.changed.connect(self.show_scans)
@@ -92,24 +97,29 @@ class AxialResponsePanel(AnalysisPanel):
             layer = chosen_image(self.live, "recording with a calibration")
             calibration = layer.metadata["elsplus"]["calibration"]
             self._manual.take(self._frame(layer), calibration, self.depth_now.value)
+            self._saved = False
             self.depth_now.value += self.depth_step.value
-            taken = len(set(self._manual.depth_um))
-            if taken < 3:
-                self.numbers.setText(f"{taken} of at least 3 depths acquired")
-                return
-            scan = self._manual.scan(calibration)
-            self.scans = [one for one in self.scans if not one.name.startswith(MANUAL_SCAN)] + [scan]
+            if self._depths >= MIN_DEPTHS:
+                scan = self._manual.scan(calibration)
+                self.scans = [one for one in self.scans if not one.name.startswith(MANUAL_SCAN)] + [scan]
             self.show_scans()
 
+    def unsaved(self) -> str:
+        """Return a question if a manual scan was not saved, which cannot be made again; else an empty string."""
+        return "" if self._saved else "The manual scan was not saved. Discard it?"
+
     def clear_scans(self) -> None:
-        """Discard all scans, also the manual one."""
+        """Discard all scans; an unsaved manual one only if the user agrees."""
+        question = self.unsaved()
+        if question and not closing.confirm(self, question):
+            return
         self.scans.clear()
-        self._manual = ManualScan()
+        self._manual, self._saved = ManualScan(), True
         self.show_scans()
 
     def show_scans(self) -> None:
         """Plot the scans, the last one in full, or their drop-offs against the slit; list the drop-offs."""
-        self.numbers.setText(table(self.scans) if self.scans else next_hint(HINT))
+        self._show_numbers()
         saves = "Save the plot as PNG, its numbers as CSV, or the scans as JSON"
         set_enabled(self.save, bool(self.scans), saves, "measure a scan")
         set_enabled(self.clear, bool(self.scans), "Discard all scans", "measure a scan")
@@ -140,12 +150,13 @@ class AxialResponsePanel(AnalysisPanel):
         path = Path(path)
         if path.suffix.lower() != ".json":
             super().save_to(path)
-            return
+            return  # what is plotted may be another scan, and leaves out how it was measured
         if not self.scans:
             raise InputError("there is no scan to save", "measure one first")
         one = len(self.scans) == 1
         content = self.scans[0].content() if one else {"scans": [scan.content() for scan in self.scans]}
         write_json(path, content, indent=1, allow_nan=False, force=True)
+        self._saved = True
 
     def copy_script(self) -> None:
         """Copy a script that measures the selected stack to the clipboard."""
@@ -193,6 +204,28 @@ class AxialResponsePanel(AnalysisPanel):
         layout.addWidget(self.numbers)
         layout.addLayout(button_row(self.script, self.save, self.clear))
 
+    @property
+    def _depths(self) -> int:
+        """Depths of the manual scan."""
+        return len(set(self._manual.depth_um))
+
+    def _show_numbers(self) -> None:
+        """List the drop-offs, or what is missing for them."""
+        taking = self.source.value == MANUAL or not self.scans
+        if taking and 0 < self._depths < MIN_DEPTHS:
+            text = f"{self._depths} of at least {MIN_DEPTHS} depths acquired"
+        else:
+            text = table(self.scans) if self.scans else next_hint(self._next_action())
+        self.numbers.setText(text)
+
+    def _next_action(self) -> str:
+        if self.source.value == STACK:
+            return f"press Measure; {MANY}" if self.stack.choices else OPEN_SCAN
+        if self.source.value == MANUAL:
+            add = f"set the depth of the plate and press Add frame, at {MIN_DEPTHS} depths or more."
+            return add if self.live.choices else OPEN_RECORDING_FIRST
+        return f"press Simulate and measure; {MANY}"
+
     def _start(self, frames: int, work: Any) -> None:
         self.work.begin(frames, work, self._measured)
         self._layers_changed()
@@ -224,6 +257,7 @@ class AxialResponsePanel(AnalysisPanel):
         takes = "Add the displayed frame at this depth, and advance the depth by a step"
         set_enabled(self.take, bool(self.live.choices), takes, OPEN_RECORDING_FIRST)
         set_enabled(self.script, stacks, "Copy a Python script that measures the selected stack", OPEN_SCAN)
+        self._show_numbers()
 
 
 def _axial_stacks(viewer: napari.viewer.Viewer) -> list[str]:
