@@ -98,6 +98,9 @@ def test_a_recording_ends_by_frames_and_by_seconds(engine: Engine, tmp_path: Pat
     until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
     engine.record(RecordingPlan(tmp_path / "seconds.ome.tif", seconds=0.2))
     until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    state = engine.status().recording
+    assert state is not None
+    assert (state.seconds, state.missing) == (pytest.approx(0.2, abs=1e-6), 0)
     with open_recording(tmp_path / "frames.ome.tif") as recording:
         assert len(recording) == 7
     with open_recording(tmp_path / "seconds.ome.tif") as recording:
@@ -265,6 +268,8 @@ def test_a_slow_disk_costs_recorded_frames_and_says_so(
     with open_recording(tmp_path / "r.ome.tif") as recording:
         missing = int((np.diff(recording.frame_numbers) - 1).sum())
     assert missing == status.dropped["recorder slow"]
+    assert status.recording is not None
+    assert status.recording.missing == missing
     assert status.processed == status.acquired
 
 

@@ -520,7 +520,7 @@ def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, t
     panel.form.record.native.click()
     qtbot.waitUntil(lambda: "<b>recording</b> recording-" in panel.form.status.text(), timeout=30_000)
     qtbot.waitUntil(lambda: "<b>recorded</b> recording-" in panel.form.status.text(), timeout=30_000)
-    assert re.search(r"ome.tif: \d+ frames, \d+ MB", panel.form.status.text())
+    assert re.search(r"ome.tif: \d+ frames, \d\.\d s, (.* frames lost.*, )?\d+ MB", panel.form.status.text())
     assert not panel.form.opening.native.isHidden()
     panel.form.opening.native.click()
     (path,) = tmp_path.glob("recording-*.ome.tif")

@@ -28,14 +28,14 @@ def test_a_scan_whose_lag_is_unknown_comes_with_advice():
 
 
 def test_rates_latency_losses_and_disk_are_stated(tmp_path: Path):
-    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=True)
+    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=True, seconds=2.0)
     free_s = 600.0
     status = Status(
         live=True, camera_hz=240.0, dropped={"recorder slow": 3}, recording=recording,
         disk_bytes_per_s=shutil.disk_usage(tmp_path).free / free_s,
     )  # fmt: skip
     text = status_text(status, None, 58.6, busy=False)
-    for words in ("camera 240 Hz", "display 59 Hz", "latency", "lost: 3 recorder slow", "480 frames, 2.0 s"):
+    for words in ("camera 240 Hz", "display 59 Hz", "latency", "lost: 3 (recorder slow)", "480 frames, 2.0 s"):
         assert words in text
     assert "10 min of disk space left" in text
 
@@ -54,14 +54,19 @@ def test_a_parked_galvo_is_said_while_dark_frames_stream():
 
 
 def test_the_folder_of_a_recording_is_named(tmp_path: Path):
-    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=False)
+    recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=False, seconds=2.1, missing=24)
     text = status_text(Status(recording=recording), None, 0.0, busy=False)
-    assert f"<b>recorded</b> r.ome.tif: 480 frames, in {tmp_path}" in text
+    assert "<b>recorded</b> r.ome.tif: 480 frames, 2.1 s, " in text
+    assert "24 frames lost" in text
+    assert f", in {tmp_path}" in text
 
 
 def test_what_does_not_hold_any_more_is_said_with_its_reason():
     status = Status(live=True, stale={"background": "gain changed from 0 to 6 dB"})
-    assert "stale: background (gain changed from 0 to 6 dB)" in status_text(status, None, 30.0, busy=False)
+    text = status_text(status, None, 30.0, busy=False)
+    assert "stale: background (gain changed from 0 to 6 dB)" in text
+    assert "Set it back, or measure again" in text
+    assert "measure again" not in status_text(Status(live=True), None, 30.0, busy=False)
 
 
 def test_the_active_calibration_is_named_with_what_was_not_measured():

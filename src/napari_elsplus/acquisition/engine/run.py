@@ -179,9 +179,11 @@ class Run:
     @property
     def recording(self) -> RecordingState | None:
         """The recording, if there was one in this run."""
-        if self._recorder is None:
+        recorder = self._recorder
+        if recorder is None:
             return None
-        return RecordingState(str(self._recorder.plan.path), self._recorder.frames, self._recorder.is_alive())
+        path = str(recorder.plan.path)
+        return RecordingState(path, recorder.frames, recorder.is_alive(), recorder.seconds, recorder.missing)
 
     @property
     def recorded(self) -> str:

@@ -52,11 +52,17 @@ class RecordingState:
         Frames in it.
     running : bool
         True while frames are added.
+    seconds : float
+        From its first frame to the end of the last one.
+    missing : int
+        Frames in between that were lost.
     """
 
     path: str
     frames: int
     running: bool
+    seconds: float = 0.0
+    missing: int = 0
 
 
 @dataclass(frozen=True, slots=True)

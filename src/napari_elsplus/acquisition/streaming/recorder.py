@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from napari_elsplus.acquisition.streaming.faults import FaultLog
+    from napari_elsplus.acquisition.streaming.ring import Stamp
     from napari_elsplus.acquisition.streaming.stream import FrameStream
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.instrument.calibration import Calibration
@@ -114,13 +115,30 @@ class Recorder(Thread):
         except BaseException:
             self._cursor.close()
             raise
-        self._half_period_s = 0.5 / frame_rate_hz
+        self._period_s = 1 / frame_rate_hz
         self._stop_before: int | None = None
+        self._span: tuple[Stamp, Stamp, int] | None = None
 
     @property
     def frames(self) -> int:
         """Frames in the file so far."""
         return len(self._writer)
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame in the file to the end of the last one, by the camera's clock."""
+        if self._span is None:
+            return 0.0
+        first, last, _ = self._span
+        return last.readout_start_s - first.readout_start_s + self._period_s
+
+    @property
+    def missing(self) -> int:
+        """Frames between the first and the last one in the file that are not in it, by the camera's numbers."""
+        if self._span is None:
+            return 0
+        first, last, frames = self._span
+        return last.frame_number - first.frame_number + 1 - frames
 
     @property
     def full(self) -> bool:
@@ -152,7 +170,6 @@ class Recorder(Thread):
             self._cursor.close()
 
     def _write(self) -> None:
-        first_s: float | None = None
         while not self.full:
             taken = self._cursor.take(_POLL_S)
             if taken is None:
@@ -162,12 +179,13 @@ class Recorder(Thread):
             frame, stamp = taken
             if self._stop_before is not None and stamp.sequence >= self._stop_before:
                 return
-            first_s = stamp.readout_start_s if first_s is None else first_s
+            first = stamp if self._span is None else self._span[0]
             if (
                 self.plan.seconds is not None
-                and stamp.readout_start_s - first_s > self.plan.seconds - self._half_period_s
+                and stamp.readout_start_s - first.readout_start_s > self.plan.seconds - 0.5 * self._period_s
             ):
                 return
             self._writer.append(frame, stamp.readout_start_s, stamp.frame_number)
+            self._span = first, stamp, len(self._writer)
             self._tally.recorded += 1
             self._tally.skipped("recorder slow", self._cursor.skipped)

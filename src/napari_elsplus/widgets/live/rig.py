@@ -19,6 +19,7 @@ from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
 from napari_elsplus.io.settings import active_calibration, recall, remember, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
+from napari_elsplus.widgets.live.status import stale_lines
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_button
 from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
@@ -293,7 +294,7 @@ class RigPanel(EnginePanel):
             return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
         lines = [f"<b>{self.connection.rig}</b> is connected, {'live' if status.live else 'idle'}."]
         lines += calibration_lines(self.connection.calibration, self.connection.calibration_file)
-        lines += [f"Stale: {section} ({reason})" for section, reason in status.stale.items()]
+        lines += stale_lines(status)
         lines += [status.notice] if status.notice else []
         lines += [str(fault) for fault in status.faults]
         if busy:

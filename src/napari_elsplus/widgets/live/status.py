@@ -50,7 +50,7 @@ def status_text(
     if not status.live:
         begun = ["Starting..." if busy else f"Stopped. {next_hint('press Start.')}", *_recorded(status)]
         return "<br>".join([*begun, *calibration_lines(calibration, calibration_file)])
-    lost = ", ".join(f"{count} {cause}" for cause, count in status.dropped.items()) or "none"
+    lost = ", ".join(f"{count} ({cause})" for cause, count in status.dropped.items()) or "none"
     lines = [
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
@@ -63,9 +63,21 @@ def status_text(
     lines.append(f"saturated {100 * measures.saturated:.2f} %{sharpness}")
     if measures.saturated > SATURATION_WARNING_SHARE:
         lines.append("<b>Saturated</b>: reduce laser power or gain.")
-    lines += [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
+    lines += stale_lines(status)
     lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)
+
+
+def stale_lines(status: Status) -> list[str]:
+    """Return lines of rich text: which parts of the calibration no longer hold, why, and what to do.
+
+    Parameters
+    ----------
+    status : Status
+        Of the engine.
+    """
+    lines = [f"stale: {section} ({reason})" for section, reason in status.stale.items()]
+    return [*lines, "Set it back, or measure again in Calibration."] if lines else []
 
 
 def parked_advice(status: Status, calibration: Calibration | None) -> str:
@@ -86,14 +98,14 @@ def parked_advice(status: Status, calibration: Calibration | None) -> str:
 
 
 def _recorded(status: Status) -> list[str]:
-    """Return name, frames, duration, size and folder of the newest recording; while it runs, the free disk space."""
+    """Return name, frames, duration, losses, size and folder of the newest recording; while it runs, the disk space."""
     recording = status.recording
     if recording is None:
         return []
     path, running = Path(recording.path), recording.running
-    parts = [f"{path.name}: {recording.frames} frames"]
-    if running and isfinite(status.camera_hz) and status.camera_hz > 0:
-        parts.append(f"{recording.frames / status.camera_hz:.1f} s")
+    parts = [f"{path.name}: {recording.frames} frames", f"{recording.seconds:.1f} s"]
+    if recording.missing:
+        parts.append(amber(f"{recording.missing} frames lost"))
     with suppress(OSError):
         parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
     line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}"
