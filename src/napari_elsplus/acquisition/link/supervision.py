@@ -64,7 +64,9 @@ class Supervision(Thread):
             silent_s = time.monotonic() - self._beat_s
             if self._armed and silent_s > self._timeout_s:
                 self._armed = False
-                problem = f"the window was frozen for {self._timeout_s:g} s: the galvo was parked, a recording ended"
+                problem = (
+                    f"the window was frozen for {self._timeout_s:g} s: the galvo was parked and any recording ended"
+                )
                 remedy = "start again; heartbeat_timeout_s of [rig] in the settings file allows more"
                 try:
                     self._act(DeviceError(problem, remedy))
