@@ -60,6 +60,12 @@ def test_without_a_calibration_there_are_raw_frames_in_pixels(tmp_path):
     assert opened.notes == []
 
 
+def test_a_recordings_own_calibration_needs_no_note_where_it_is_the_active_one_too(tmp_path):
+    """Before: it was warned of as if it were that of another recording."""
+    path = write_pair(tmp_path)
+    assert open_layers(path, tmp_path / "scan.calibration.json").notes == []
+
+
 def test_the_active_calibration_is_for_recordings_without_their_own(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", frames())
     (tmp_path / "rig").mkdir()

@@ -12,6 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import open_recording
+from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.processing.images.sectioning import Mode
@@ -90,7 +91,7 @@ def open_layers(path: str | os.PathLike[str], active: Path | None = None) -> Ope
         layers = [] if calibration is None else image_layers(stack, calibration, source)
         if calibration is not None and (note := grey_level_note([stack.planes[0]], calibration)):
             notes.append(note)
-        if source is not None and source == active:
+        if source is not None and source == active and source != calibration_beside(recording.path):
             notes.append(f"{stack.file_name} is displayed with the active calibration, {source.name}")
     except ElsPlusError as error:
         calibration, source, layers = None, None, []
