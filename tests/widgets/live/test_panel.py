@@ -153,6 +153,22 @@ def test_what_is_shown_follows_the_boxes(viewer, panel, qtbot):
     assert recall("live")["kinds"] == ["els", "elsa"]
 
 
+def test_an_image_that_is_removed_while_it_streams_is_unticked(viewer, panel, qtbot):
+    """Before: its box stayed ticked, and its title above nothing."""
+    start(panel, qtbot)
+    viewer.layers.remove(viewer.layers["live LS"])
+    qtbot.waitUntil(lambda: not panel.form.kinds["ls"].value, timeout=30_000)
+    qtbot.waitUntil(lambda: list(viewer.layers["live titles"].text.values) == ["ELS+"], timeout=30_000)
+    assert viewer.layers["live ELS+"].translate[1] == 0
+    panel.form.kinds["ls"].value = True
+    qtbot.waitUntil(lambda: "live LS" in viewer.layers, timeout=30_000)
+    stop(panel, qtbot)
+    for layer in images(viewer):
+        viewer.layers.remove(layer)
+    start(panel, qtbot)
+    assert {layer.name for layer in images(viewer)} == {"live LS", "live ELS+"}, "removed between streams"
+
+
 def test_a_view_that_cannot_be_made_is_said_and_the_stream_goes_on(panel, qtbot, said):
     start(panel, qtbot)
     panel.form.flat_field.value = True

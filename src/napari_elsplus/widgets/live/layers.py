@@ -73,6 +73,11 @@ class LiveLayers:
         """Layers that are in the viewer, by kind."""
         return {kind: layer for kind, layer in self._layers.items() if layer in self._viewer.layers}
 
+    def removed(self, kinds: Sequence[str]) -> list[str]:
+        """Return those of some `kinds` whose layers were removed from the viewer since they were arranged."""
+        present = self.images
+        return [kind for kind in kinds if kind in self._layers and kind not in present]
+
     def begin(self) -> None:
         """Let the next arrangement hide what would be displayed through live images: a stream begins."""
         self._begins = True
@@ -118,6 +123,7 @@ class LiveLayers:
             Name of the rig, for the metadata.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
+        self._layers = self.images
         known = self._ours
         others = [layer for layer in self._viewer.layers if layer not in known]
         axes, adopted = plane_axes(None if calibration is None else calibration.um_per_px, others)

@@ -193,6 +193,9 @@ class LivePanel(EnginePanel):
         ring = client.display()
         if ring is None:
             return
+        if self._arranged is not None:
+            for kind in self.layers.removed(self.form.chosen):
+                self.form.kinds[kind].value = False
         kinds, apart, calibration = self.form.chosen, self.form.side_by_side.value, client.calibration
         arranged = (ring.layout, ring.name, tuple(kinds), apart)
         if arranged != self._arranged or calibration is not self._arranged_by:
