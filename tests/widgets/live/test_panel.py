@@ -252,7 +252,10 @@ def test_numbers_are_applied_whole_once_they_are_typed(viewer, qtbot, small_engi
     """Before: 120 Hz was first 1 Hz and 12 Hz, and 500 Hz silently became 50 Hz."""
     _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     rig.connect.native.click()
+    rig.refresh()
+    assert not rig.rate_hz.enabled, "it would be replaced by the settings of the connected rig"
     qtbot.waitUntil(lambda: rig.connection.client is not None and not rig.requests.busy, timeout=60_000)
+    qtbot.waitUntil(lambda: rig.rate_hz.enabled, timeout=30_000)
     applied, configure = [], rig.connection.configure
     rig.connection.configure = lambda settings: (applied.append(settings), configure(settings))[1]
     for field, text in ((rig.rate_hz, "500"), (rig.slit_rows, "12"), (rig.gain_db, "30"), (rig.slit_rows, "120")):

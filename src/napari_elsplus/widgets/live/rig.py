@@ -162,6 +162,8 @@ class RigPanel(EnginePanel):
         self.connect.enabled = not busy or progress is not None
         self.connect.tooltip = "Park the galvo, and close camera and galvo" if connected else "Open camera and galvo"
         self.rig.enabled = not connected and not busy
+        for field in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
+            field.enabled = connected or not busy  # what is typed while it connects would be lost
         self.parking.enabled = self.open_file.enabled = connected
         self.parking.tooltip = (
             f"Move the laser line off the bundle ({key_name('park')}){'' if connected else '; connect first'}"
