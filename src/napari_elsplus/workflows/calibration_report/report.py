@@ -149,7 +149,8 @@ def calibration_numbers(calibration: Calibration) -> list[Number]:
     if quality is not None:
         rows.append(Number("pair", "alignment error", f"{100 * quality.alignment_error:.2f}", "%"))
         filtered = f"{100 * quality.alignment_error_filtered:.2f}"
-        rows.append(Number("pair", f"after the {quality.core_filter} filter", filtered, "%"))
+        cores = (quality.core_filter or "core").replace("gaussian", "Gaussian")
+        rows.append(Number("pair", f"after the {cores} filter", filtered, "%"))
     if calibration.background is not None:
         level = f"{float(calibration.background.mean()):.2f}"
         rows.append(Number("background", "mean of the background", level, "grey levels"))
