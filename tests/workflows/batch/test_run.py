@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording, read_track, write_calibration
+from napari_elsplus.io import open_recording, read_calibration, read_track, write_calibration
 from napari_elsplus.workflows.batch import cluster, stages, tasks
 from napari_elsplus.workflows.batch.cluster import WORKER_ENVIRONMENT, batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, RECORDS, BatchItem, BatchJob, open_output
@@ -224,6 +224,19 @@ def test_the_process_that_submits_tasks_imports_no_kernels() -> None:
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
+
+
+@pytest.mark.usefixtures("inline")
+def test_frames_of_another_bit_depth_than_the_background_are_noted(recordings: Path, tmp_path: Path) -> None:
+    frames, known = tifffile.imread(recordings / "a.tif"), read_calibration(recordings / "a.calibration.json")
+    background = np.full(frames.shape[1:], np.median(frames[:, :40]), np.float32)
+    (tmp_path / "season").mkdir()
+    tifffile.imwrite(tmp_path / "season" / "a.tif", frames.astype(np.uint16) * 16, photometric="minisblack")
+    write_calibration(tmp_path / "season" / "a.calibration.json", known.model_copy(update={"background": background}))
+    result = batch(tmp_path / "season", tmp_path / "out")
+    assert not result.failed
+    assert result.rows[0]["warnings"].startswith("beside the views the frames have grey level")
+    assert result.notes == (f"a: {result.rows[0]['warnings']}",)
 
 
 @pytest.mark.usefixtures("inline")

@@ -219,7 +219,10 @@ def _drawable(name: str) -> str:
 
 
 def _notes(rows: list[Values]) -> tuple[str, ...]:
+    notes = [f"{row['name']}: {row['warnings']}" for row in rows if row["warnings"]]
     used = {row["calibration"].rpartition("(")[2] for row in rows if row["calibration"]}
-    if len(used) < 2:
-        return ()
-    return (f"the recordings have {len(used)} different calibrations: compare grey levels and lengths with care",)
+    if len(used) > 1:
+        notes.append(
+            f"the recordings have {len(used)} different calibrations: compare grey levels and lengths with care"
+        )
+    return tuple(notes)
