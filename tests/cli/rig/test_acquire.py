@@ -14,6 +14,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.io import open_recording, read_calibration, read_track, write_calibration
 
@@ -130,6 +131,19 @@ def test_a_run_that_did_not_begin_leaves_no_report(
     run = elsplus("acquire", "-c", tmp_path / "wider.json", "--seconds", 0.5, "--report", tmp_path / "report.json")
     assert run.code == 2
     assert not (tmp_path / "report.json").exists()
+
+
+def test_the_calibration_is_not_overwritten_by_the_report_even_if_forced(
+    elsplus: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Before: the report took its place after the run."""
+    file = tmp_path / "cal.json"
+    write_calibration(file, Calibration())
+    before = file.read_bytes()
+    run = elsplus("acquire", "-c", file, "--seconds", 0.5, "--report", file, "--force")
+    assert run.code == 2
+    assert "cal.json is read, and would be overwritten" in run.err
+    assert file.read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, POSITIVE, force_option, progress, refuse_outputs
+from napari_elsplus.cli.options import FILE, POSITIVE, calibration_files, force_option, progress, refuse_outputs
 from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
@@ -70,9 +70,8 @@ def command(
     from napari_elsplus.io.recorder import refuse_other_format
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
-    refuse_outputs(
-        record, *beside_record, mosaic, track, report, force=force, suffixes={track: ".csv", report: ".json"}
-    )
+    read, suffixes = calibration_files(calibration), {track: ".csv", report: ".json"}
+    refuse_outputs(record, *beside_record, mosaic, track, report, force=force, inputs=read, suffixes=suffixes)
     if record is not None:
         refuse_other_format(record)
     if mosaic is not None:
