@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.atomic import refuse_suffix, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
@@ -263,8 +263,7 @@ def _new_group(path: str | os.PathLike[str], metadata: ImageMetadata, *, force: 
         import zarr
 
     target = Path(path)
-    if target.suffix != ".zarr":
-        raise InputError(f"{target.name} is no name for an OME-Zarr folder", "let it end in .zarr")
+    refuse_suffix(target, ".zarr")
     with replacing(target, force=force) as beside:
         group = zarr.open_group(beside, mode="w", zarr_format=3)
         yield group
