@@ -98,7 +98,7 @@ def command(
     read = None if finished else calibration_to_read(raw, calibration)
     refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)), suffixes={track: ".csv"})
     format_to_write(output)
-    even = None if flat is None else _mean_frame(flat)
+    even = None if flat is None else _mean_of(flat)
     with open_recording(raw) as recording:
         remedy = "name one with -c, or give --finished for finished images"
         record = None if finished else calibration_of(recording, calibration, remedy)
@@ -116,10 +116,9 @@ def command(
         click.echo(f"note: {note}")
 
 
-def _mean_frame(path: Path) -> NDArray[np.float32]:
-    import numpy as np
-
+def _mean_of(path: Path) -> NDArray[np.float32]:
     from napari_elsplus.io import open_recording
+    from napari_elsplus.processing.calibration.frame_regions import mean_frame
 
     with open_recording(path) as frames:
-        return np.asarray(np.mean([frames[k] for k in range(len(frames))], axis=0), np.float32)
+        return mean_frame(frames)
