@@ -16,7 +16,7 @@ from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.daq.takeover import CardOrder
-from napari_elsplus.hardware.guardian import guard_scanner
+from napari_elsplus.hardware.guardian.supervision import guard_scanner
 from napari_elsplus.io import RecordingWriter
 
 small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))

@@ -18,9 +18,10 @@ import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware import guardian as guardian_module
 from napari_elsplus.hardware.daq.takeover import CardOrder
-from napari_elsplus.hardware.guardian import SILENT_S, Guardian, guard
+from napari_elsplus.hardware.guardian import supervision as guardian_module
+from napari_elsplus.hardware.guardian.process import STANDSTILL_S, guard
+from napari_elsplus.hardware.guardian.supervision import COMMAND, SILENT_S, Guardian
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
@@ -165,12 +166,91 @@ def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None
             os.kill(first, 0)
 
 
+def test_a_guardian_that_is_told_to_end_by_others_than_its_process_stays() -> None:
+    """Before: SIGTERM to all processes, as at a logout, ended it before it could park."""
+    card = VirtualCard()
+    with CardServer(card) as server:
+        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        for name in {"SIGTERM", "SIGHUP", "SIGINT"} & set(dir(signal)) if sys.platform != "win32" else ():
+            os.kill(guardian.pid, getattr(signal, name))
+        guardian.hand_over()
+        seconds_until(lambda: card.last_volts == -0.7)
+        guardian.dismiss()
+
+
+class Broken(io.StringIO):
+    """A pipe whose other end is closed."""
+
+    def flush(self) -> None:
+        raise BrokenPipeError
+
+
+def test_a_guardian_whose_process_dies_before_it_is_ready_parks() -> None:
+    """Before: it ended by its answer, which nobody received."""
+    card = VirtualCard()
+    with CardServer(card) as server:
+        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        guard(io.StringIO(order + "\n"), Broken())
+    assert card.last_volts == -0.7
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="fills a pipe as POSIX does")
+def test_a_terminal_that_takes_no_message_does_not_stop_parking() -> None:
+    """Before: a terminal that was stopped by Ctrl-S held up every attempt but the first."""
+    card = VirtualCard()
+    reading, terminal = os.pipe()
+    os.set_blocking(terminal, False)
+    while True:
+        try:
+            os.write(terminal, b"." * 1024)
+        except BlockingIOError:
+            break
+    os.set_blocking(terminal, True)
+    with CardServer(card) as server:
+        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=terminal, text=True)
+        process.stdin.write(order + "\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "ready\n"
+        card.inject(refuse_s=0.5)
+        process.stdin.close()
+        try:
+            seconds_until(lambda: card.last_volts == -0.7)
+            assert process.wait(10) == 0
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()
+    os.close(reading)
+    os.close(terminal)
+
+
+def test_who_reports_and_fails_does_not_stop_parking() -> None:
+    """Before: the first message that could not be written ended it, not parked."""
+    card = VirtualCard()
+
+    def fail(_: object) -> None:
+        raise AttributeError("there is no terminal")
+
+    with CardServer(card) as server:
+        card.inject(refuse_s=0.3)
+        assert CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address).take_over(fail).parked
+    assert card.last_volts == -0.7
+
+
 def no_memory(*_: object, **__: object) -> None:
     raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
 
 
-def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_the_galvo_is_parked(monkeypatch):
-    """Before: the thread that watches ended; nothing was on guard or parked, and no report said so."""
+def no_thread(*_: object, **__: object) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("exhaust", [no_memory, no_thread])
+def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_the_galvo_is_parked(
+    monkeypatch, exhaust
+):
+    """Before: the thread that watches ended; without threads it went on, and the galvo was not parked."""
     parks: list[DeviceError] = []
     with (
         CardServer(VirtualCard()) as server,
@@ -178,7 +258,7 @@ def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_
     ):
         first = guardian.pid
         with monkeypatch.context() as exhausted:
-            exhausted.setattr(guardian_module.subprocess, "Popen", no_memory)
+            exhausted.setattr(guardian_module.subprocess, "Popen", exhaust)
             os.kill(first, signal.SIGKILL)
             seconds_until(lambda: len(parks) > 1)
             assert "so the galvo was parked" in str(guardian.reports[0])
@@ -299,6 +379,44 @@ def test_a_script_that_opens_a_rig_has_a_guardian(script) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_process_that_stands_still_is_parked_and_told_when_it_goes_on(script) -> None:
+    """Before: Ctrl-Z left the galvo sweeping without end, and nothing checked it."""
+    process, card, guardian = script
+    stopped_s = time.perf_counter()
+    process.send_signal(signal.SIGSTOP)  # as Ctrl-Z does, which a group without a terminal ignores
+    seconds_until(lambda: is_parked(card), 10)
+    assert 0.8 * STANDSTILL_S < card.programs()[-1].since_s - stopped_s < STANDSTILL_S + 1.0  # on a busy computer
+    time.sleep(0.5)
+    process.send_signal(signal.SIGCONT)
+    while True:
+        pid, on_guard, stage, reports = json.loads(process.stdout.readline())
+        assert is_parked(card)
+        if pid != guardian and on_guard and stage == "parked" and reports:
+            break
+    assert "stood still" in reports[0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
+def test_a_process_that_is_killed_is_parked_although_its_child_holds_the_pipe() -> None:
+    """Before: the guardian noticed the death of its process when the last forked child ended."""
+    forks = SCRIPT.replace("engine.start()", "engine.start(); import os; os.fork() or (time.sleep(20), os._exit(0))")
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(forks)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    place, _ = json.loads(process.stdout.readline())
+    with RemoteCard(place) as card:
+        seconds_until(lambda: len(card.programs()[-1].samples) > 0, 20)
+        killed_s = time.perf_counter()
+        process.kill()
+        seconds_until(lambda: is_parked(card), 10)
+        assert card.programs()[-1].since_s - killed_s < STANDSTILL_S + 1.0  # the same
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_a_guardian_takes_over_a_card_that_refuses_as_soon_as_it_accepts(script) -> None:
     """Before: it gave up after two seconds."""
     process, card, _ = script
@@ -336,6 +454,17 @@ def test_a_guardian_is_dismissed_only_when_the_galvo_is_parked() -> None:
     assert rig.scanner.park_state.message.startswith("NOT PARKED")
     assert rig.guardian.on_guard
     seconds_until(lambda: rig.scanner.park_state.parked, 10)
+    seconds_until(lambda: not rig.guardian.on_guard, 10)
+
+
+def test_a_guardian_is_dismissed_although_closing_was_interrupted(monkeypatch) -> None:
+    """Before: it stayed until the program ended, and then took the card from whoever used it."""
+    rig = open_rig("simulated", Simulation(scene=empty(), own_process=True))
+    with monkeypatch.context() as interrupted:
+        interrupted.setattr(rig.scanner, "close", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            rig.close()
+    rig.scanner.close()
     seconds_until(lambda: not rig.guardian.on_guard, 10)
 
 

@@ -27,7 +27,7 @@ BROKEN: dict[str, str] = {}
 LIMITS_S = {
     "strobe-lost": 0.5, "strobe-never-wired": 0.5, "engine-killed": 0.5, "window-killed": 0.5, "camera-unplugged": 0.5,
     "guardian-killed": 1.0, "guardian-stopped": 1.0, "disconnect-while-live": 0.5, "card-refuses-while-closing": 0.8,
-    "ramps-without-frames": 1.5, "card-refuses-long-while-closing": 3.5,
+    "engine-stopped": 2.5, "ramps-without-frames": 1.5, "card-refuses-long-while-closing": 3.5,
 }  # fmt: skip
 """Seconds, of the promises; from the fault, so that a card that refuses for 0.3 s or 3 s has that time, too."""
 

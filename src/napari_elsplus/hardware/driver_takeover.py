@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.outside import import_driver, open_outside
-from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState
+from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState, call_each
 from napari_elsplus.hardware.protocols import Scanner
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
@@ -61,7 +61,7 @@ class DriverOrder:
         Parameters
         ----------
         report : callable
-            Called with the state whenever its stage changes.
+            Called with the state whenever its stage changes; one that fails does not stop parking.
 
         Returns
         -------
@@ -72,7 +72,7 @@ class DriverOrder:
         for attempt in count(1):
             for state in self._attempt(attempt):
                 if state.stage is not last.stage:
-                    report(state)
+                    call_each((report,), state)
                 last = state
             if last.parked:
                 break

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.closing import ClosedOnExit
 
 if TYPE_CHECKING:
-    from napari_elsplus.hardware.guardian import Guardian
+    from napari_elsplus.hardware.guardian.supervision import Guardian
     from napari_elsplus.hardware.protocols import Camera, Scanner
     from napari_elsplus.hardware.scan.timing import StrobePhase
     from napari_elsplus.hardware.scan.waveform import GalvoLimits

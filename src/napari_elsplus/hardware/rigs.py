@@ -14,7 +14,7 @@ from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.driver_takeover import DriverOrder
 from napari_elsplus.hardware.drivers import open_camera, open_scanner
-from napari_elsplus.hardware.guardian import guard_scanner
+from napari_elsplus.hardware.guardian.supervision import guard_scanner
 from napari_elsplus.hardware.protocols import CountsFrames
 from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL, Rig
 from napari_elsplus.hardware.rig_files import RigSettings, SimulatedRigSettings, rig_files, rig_settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-if any(argument.endswith("hardware.guardian") for argument in sys.orig_argv):
+if any(argument.endswith("hardware.guardian.process") for argument in sys.orig_argv):
     sys.stdin.readline()
     sys.stdout.write("ready\n")
     sys.stdout.flush()

@@ -178,6 +178,7 @@ class DaqScanner(ClosedOnExit):
     def interrupt(self, fault: DeviceError) -> None:
         """Park because of a fault that was found elsewhere; `check` raises it. Returns at once."""
         self._fault = fault
+        self._tasks_lost.set()  # another process may have taken them
         self._command_parking()
 
     def close(self) -> None:
@@ -313,6 +314,7 @@ class DaqScanner(ClosedOnExit):
             samples = self._output.samples_done() if self._waveform is not None else 0
         except DeviceError as error:
             fault: DeviceError | None = error
+            self._tasks_lost.set()  # with a reset by another program, for instance
         else:
             fault = self._interlock.fault(self._now_s(), samples, self._count_frames())
         if fault is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.hardware.daq.errors import translate_daq_errors
 from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.daq.session import open_session
-from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState
+from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState, call_each
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class CardOrder:
         Parameters
         ----------
         report : callable
-            Called with the state whenever its stage changes.
+            Called with the state whenever its stage changes; one that fails does not stop parking.
 
         Returns
         -------
@@ -114,7 +114,7 @@ class CardOrder:
             state = parking.attempt()
             if state.stage is not stage:
                 stage = state.stage
-                report(state)
+                call_each((report,), state)
             if state.parked or (self.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S):
                 break
             time.sleep(state.retry_s)

@@ -8,7 +8,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.daq.takeover import CardOrder
-from napari_elsplus.hardware.guardian import guard_scanner, when_parked
+from napari_elsplus.hardware.guardian.supervision import guard_scanner, when_parked
 from napari_elsplus.hardware.rig import Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.u3v.camera import U3vCamera

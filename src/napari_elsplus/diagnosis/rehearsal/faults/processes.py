@@ -12,6 +12,7 @@ from typing import Final
 from napari_elsplus.acquisition.link.messages import HEARTBEAT_TIMEOUT_S
 from napari_elsplus.diagnosis.rehearsal.registry import fault
 from napari_elsplus.diagnosis.rehearsal.stage import KILL, Stage, ends_within
+from napari_elsplus.hardware.guardian.process import STANDSTILL_S
 
 GUARDIAN_WITHIN_S: Final = 1.0
 """Seconds in which a guardian that was killed is replaced, or the galvo parked; of the promises."""
@@ -63,6 +64,30 @@ def _engine_killed(stage: Stage, limit_s: float) -> None:
     stage.expect_parked(limit_s)
     stage.expect_reported("engine's process ended")
     stage.expect_recording(complete=False)
+
+
+@fault(
+    "engine-stopped",
+    "parked by the guardian within 0.5 s after 2 s without a heartbeat, frames kept, reported",
+    STANDSTILL_S + 0.5,
+    posix=True,
+)
+def _engine_stopped(stage: Stage, limit_s: float) -> None:
+    """Stop the engine's process, without ending it, as a defect that never returns does; then let it go on."""
+    if sys.platform != "win32":
+        stage.scan()
+        stage.note_exposures()
+        stage.status()
+        os.kill(stage.engine_pid, signal.SIGSTOP)
+        stage.fault_s = time.perf_counter()
+        try:
+            stage.expect_parked(limit_s)
+        finally:
+            os.kill(stage.engine_pid, signal.SIGCONT)
+        stage.expect_reported("stood still")
+        stage.call("stop")
+        stage.wait_for(lambda: not getattr(stage.status().recording, "running", False), "end of the recording")
+        stage.expect_recording()
 
 
 def _guardian_lost(stage: Stage, limit_s: float, by: signal.Signals) -> None:

@@ -1,8 +1,4 @@
-"""A process with a single task: park the galvo if the process that drives it dies; and its supervision from there.
-
-``kill -9``, a crash in a driver or the system's memory killer leave no time for clean-up, while the card goes on
-sweeping the laser, or leaves it on one line of tissue. The guardian process waits on a pipe; when it ends without a
-farewell, the process at the other end is dead, and the guardian parks, without end until the card confirms it.
+"""Supervision of the guardian process, which parks the galvo if the process that drives it dies or stands still.
 
 A guardian that dies, or does not answer, is replaced; while none is on guard the galvo must not move.
 """
@@ -11,38 +7,28 @@ from __future__ import annotations
 
 import atexit
 import json
-import logging
 import subprocess
 import sys
 import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
-from typing import IO, TYPE_CHECKING, Any, Final, Self, TypeAlias, cast
+from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.detached import DETACHED
-from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.hardware.guardian.process import FAREWELL, HEARTBEAT, READY, STANDSTILL_S
 from napari_elsplus.hardware.parking import call_each
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import ExitStack
-    from typing import TextIO
 
+    from napari_elsplus.hardware.guardian.process import ParkOrder
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.protocols import Scanner
 
-_log = logging.getLogger(__name__)
-
-ParkOrder: TypeAlias = CardOrder | DriverOrder
-"""Instruction by which another process parks: by the card, or by a driver outside this package."""
-
-READY: Final = "ready"
-FAREWELL: Final = "farewell"
-HEARTBEAT: Final = "heartbeat"
-"""Messages of the pipes; a heartbeat is sent back."""
+COMMAND: Final = (sys.executable, "-m", "napari_elsplus.hardware.guardian.process")
 POLL_S: Final = 0.05
 """Seconds between two checks of the guardian process; chosen: a small part of the 1 s in which it is replaced."""
 SILENT_S: Final = 0.4
@@ -76,7 +62,7 @@ class GuardianProcess:
     def __init__(self, order: ParkOrder) -> None:
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__],
+                COMMAND,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
@@ -103,6 +89,11 @@ class GuardianProcess:
     def alive(self) -> bool:
         """True while it runs."""
         return self._process.poll() is None
+
+    @property
+    def took_over(self) -> bool:
+        """True if it has parked and ended by itself, since this process stood still."""
+        return self._process.poll() == 0
 
     def wait_until_ready(self, timeout_s: float) -> bool:
         """Wait until it is on guard, at most `timeout_s`; return False if it is not."""
@@ -272,10 +263,13 @@ class Guardian:
             self._process.beat(min(now_s - checked_s, MAX_STEP_S))
             checked_s = now_s
             if not self._process.on_guard:
-                try:
-                    self._replace("did not answer" if self._process.alive else "had died")
-                except Exception:  # noqa: BLE001 - supervision goes on: the next check tries again
-                    _log.exception("a guardian could not be replaced")
+                if self._process.took_over:
+                    self._lose(f"this process stood still for {STANDSTILL_S:g} s, so its guardian parked the galvo")
+                self._replace("did not answer" if self._process.alive else "had ended")
+
+    def _lose(self, problem: str) -> None:
+        """Report a problem, because of which the galvo has to be parked."""
+        call_each((self._lost,), self._report(problem))
 
     def _replace(self, why: str) -> None:
         begun_s = time.monotonic() - self._process.silent_s
@@ -284,15 +278,15 @@ class Guardian:
         try:
             with self._lock:
                 new = self._process = GuardianProcess(self._order)
-        except DeviceError:  # the next check tries again
-            self._lost(self._report(parked))
+        except Exception:  # noqa: BLE001 - no process or thread can be started: the next check tries again
+            self._lose(parked)
             self._dismissed.wait(REPLACE_WITHIN_S)
             return
         if new.wait_until_ready(max(0.0, begun_s + REPLACE_WITHIN_S - time.monotonic())):
             took_s = time.monotonic() - begun_s
             self._report(f"the galvo's guardian {why}; another was on guard {took_s:.1f} s later")
             return
-        self._lost(self._report(parked))
+        self._lose(parked)
         if new.wait_until_ready(START_TIMEOUT_S):
             self._report("another guardian is on guard; the galvo may be used again")
 
@@ -328,10 +322,12 @@ def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack, lost: Cal
     scanner.on_park_state(lambda _: guardian.revise(scanner.park_v))
 
     def end() -> None:
-        scanner.close()
-        when_parked(scanner, guardian.dismiss)
-        if not scanner.park_state.parked:
-            atexit.register(guardian.hand_over)
+        try:
+            scanner.close()
+        finally:  # it may be interrupted; parking goes on
+            when_parked(scanner, guardian.dismiss)
+            if not scanner.park_state.parked:
+                atexit.register(guardian.hand_over)
 
     held.callback(end)
     return guardian
@@ -347,51 +343,3 @@ def when_parked(scanner: Scanner, act: Callable[[], object]) -> None:
 
     scanner.on_park_state(react)
     react(scanner.park_state)
-
-
-def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] = lambda _: None) -> None:
-    """Read park orders, and carry out the last one if they end without a farewell.
-
-    Parameters
-    ----------
-    orders : file
-        One order as JSON per line.
-    answers : file
-        Receives `READY`.
-    report : callable
-        Called with every stage of parking.
-
-    Raises
-    ------
-    DeviceError
-        If the driver cannot be reached when it comes on guard.
-    """
-    order = _read_order(orders.readline())
-    order.preload()
-    answers.write(READY + "\n")
-    answers.flush()
-    while (line := orders.readline()).endswith("\n"):  # one that was cut off was never given
-        if line.strip() == FAREWELL:
-            return
-        if line.strip() == HEARTBEAT:
-            with suppress(OSError):  # the process at the other end is dead: the orders end
-                answers.write(line)
-                answers.flush()
-            continue
-        order = _read_order(line)
-    order.take_over(report)
-
-
-def _read_order(line: str) -> ParkOrder:
-    fields = json.loads(line)
-    return DriverOrder(**fields) if "kind" in fields else CardOrder(**fields)
-
-
-def _print_to_terminal(state: ParkState) -> None:
-    with suppress(OSError):  # there may be no terminal any more
-        sys.stderr.write(f"{state.message or 'the galvo was parked by its guardian'}\n")
-        sys.stderr.flush()
-
-
-if __name__ == "__main__":
-    guard(sys.stdin, sys.stdout, _print_to_terminal)
