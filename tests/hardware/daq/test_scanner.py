@@ -67,6 +67,19 @@ def test_the_whole_sequence(cards, calibration, ramp, wait_for) -> None:
     assert parked(bench)
 
 
+def test_a_galvo_that_was_closed_parked_stays_so_whoever_parks_it_again(cards) -> None:
+    """Before: 1.5 s later it was stated not to be parked, though nothing drives it any more."""
+    bench = cards()
+    scanner = DaqScanner(bench.settings, bench.limits)
+    scanner.close()
+    scanner.park()
+    with pytest.raises(DeviceError, match="was closed"):
+        scanner.park_at(PARK_V - 0.1)
+    assert scanner.park_state.parked
+    assert scanner.park_v == PARK_V
+    assert parked(bench)
+
+
 def test_another_place_to_park_is_taken_at_once_by_a_parked_mirror_and_later_by_one_that_scans(
     cards, ramp, wait_for
 ) -> None:

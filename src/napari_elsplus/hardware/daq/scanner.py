@@ -132,6 +132,7 @@ class DaqScanner(ClosedOnExit):
     def park_at(self, volts: float) -> None:
         """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
+        self._refuse_if_closed()
         changed = volts != self._parking.volts
         self._parking.retarget(volts)
         if changed and self._parking.state.stage is not ParkStage.DRIVEN:
@@ -244,11 +245,14 @@ class DaqScanner(ClosedOnExit):
 
     def _refuse_while_parking(self, commanded: int | None = None) -> None:
         """Raise while parking is commanded, or was since a number of parkings had been `commanded`."""
-        if self._closing:
-            raise DeviceError("the galvo was closed", "open the rig again")
+        self._refuse_if_closed()
         if self._parks.is_set() or commanded not in (None, self._parkings):
             state = self._parking.state
             raise DeviceError(state.message or "the galvo is being parked", "start again when it is parked")
+
+    def _refuse_if_closed(self) -> None:
+        if self._closing:
+            raise DeviceError("the galvo was closed", "open the rig again")
 
     def _refuse_parking_on_the_bundle(self, waveform: Waveform) -> None:
         low, high = waveform.exposed_v or (math.inf, -math.inf)
@@ -272,6 +276,8 @@ class DaqScanner(ClosedOnExit):
     # parking, and what commands it
 
     def _command_parking(self) -> None:
+        if self._closing and self._parking.state.parked:
+            return  # for good: nothing moves it any more, and nobody would park it again
         self._parkings += 1
         self._parking.begin(ParkStage.PARKING)  # before: the attempt may be over at once, and its state is the last
         self._parks.set()
