@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Iterator
+from itertools import count
 from multiprocessing import Pipe
 from threading import Event, Thread
 
 import pytest
 
+from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
 from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
 from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.link.messages import QUIT, Reply, Request
 from napari_elsplus.acquisition.link.server import Server
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.link.supervision import Supervision
-from napari_elsplus.errors import DeviceError
+from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.processing.calibration.draft import Draft
+from napari_elsplus.processing.calibration.steps import GALVO
 
 SOON_S = 10.0
 
@@ -91,6 +98,188 @@ def test_a_galvo_at_rest_is_no_fault_of_a_frozen_window(rig) -> None:
     session._secure(DeviceError("the window was frozen", "start again"))
     assert not session.engine.status().faults
     session.close()
+
+
+def test_a_frozen_window_ends_a_procedure_whose_galvo_is_parked_at_the_moment(rig) -> None:
+    """Before: it moved the galvo afterwards, as the slit offset is followed with rests, and nothing acted again."""
+    session = Session(lambda _: rig)
+    session.open("small")
+    session.engine.configure(Settings("240hz", frame_rate_hz=100.0))
+    session.engine.start(scan=False)
+    resting, frozen = Event(), Event()
+    raised: list[Exception] = []
+
+    def rest_and_hold() -> None:
+        try:
+            with session.procedure("the offset", time.perf_counter(), activates=False):
+                resting.set()
+                frozen.wait(SOON_S)
+                session.engine.hold(0.2)
+        except InputError as error:
+            raised.append(error)
+
+    thread = Thread(target=rest_and_hold)
+    thread.start()
+    resting.wait(SOON_S)
+    session._secure(DeviceError("the window was frozen", "start again"))
+    frozen.set()
+    thread.join(SOON_S)
+    assert "the window was frozen" in str(raised[0])
+    assert "hold" not in rig.scanner.calls
+    assert "frozen" in session.engine.status().faults[0].problem
+    session.close()
+
+
+class Served:
+    """A server of the small rig in a thread, and its client."""
+
+    def __init__(self, rig: object) -> None:
+        self.connection, its = Pipe()
+        self.thread = Thread(target=self._serve, args=(Server(its, lambda _: rig),), daemon=True)
+        self.ended_by: list[Exception] = []
+        self._replies: dict[int, Reply] = {}
+        self._numbers = count()
+        self.thread.start()
+
+    def _serve(self, server: Server) -> None:
+        try:
+            server.serve()
+        except Exception as error:  # noqa: BLE001 - judged by the test
+            self.ended_by.append(error)
+
+    def send(self, name: str, *arguments: object) -> int:
+        number = next(self._numbers)
+        self.connection.send(Request(number, name, arguments, {}))
+        return number
+
+    def result(self, number: int) -> object:
+        while number not in self._replies:
+            assert self.connection.poll(SOON_S)
+            message = self.connection.recv()
+            if isinstance(message, Reply):
+                self._replies[message.number] = message
+        reply = self._replies[number]
+        if reply.error is not None:
+            raise reply.error
+        return reply.result
+
+    def call(self, name: str, *arguments: object) -> object:
+        return self.result(self.send(name, *arguments))
+
+
+@pytest.fixture
+def served(rig) -> Iterator[Served]:
+    served = Served(rig)
+    served.call("open", "small")
+    served.call("configure", Settings("240hz", frame_rate_hz=100.0))
+    yield served
+    served.connection.close()
+    served.thread.join(SOON_S)
+    assert not served.thread.is_alive()
+
+
+def test_requests_of_a_thread_are_no_heartbeats_of_the_window(served: Served, rig) -> None:
+    """Before: a panel that follows the slit offset asked for it in a thread, also while its window was frozen."""
+    served.call("set_heartbeat_timeout", 1.0)
+    served.call("hold", 0.2)
+    end_s = time.monotonic() + SOON_S
+    while not rig.scanner.park_state.parked and time.monotonic() < end_s:
+        served.call("newest_offset", -1)
+    assert rig.scanner.park_state.parked
+
+
+def test_what_waited_when_park_was_commanded_does_not_move_the_galvo_afterwards(served, rig, monkeypatch) -> None:
+    """Before: it began as if it had been commanded after Park."""
+    leave = Event()
+    monkeypatch.setattr(LiveMosaic, "clear", lambda _: leave.wait(SOON_S))
+    slow = [served.send("clear_mosaic") for _ in range(4)]  # as many as run at once
+    held = served.send("hold", 0.2)
+    served.call("park")
+    leave.set()
+    with pytest.raises(InputError, match="the galvo was parked, so hold has ended"):
+        served.result(held)
+    assert "hold" not in rig.scanner.calls
+    for number in slow:
+        served.result(number)
+    served.call("hold", 0.2)
+    assert rig.scanner.volts == 0.2
+
+
+def test_an_operation_that_waits_for_another_is_interrupted_by_park_as_well(engine: Engine, rig) -> None:
+    """Before: it began as if it had been commanded after Park."""
+    entered, leave = Event(), Event()
+    raised: list[Exception] = []
+
+    def occupy() -> None:
+        with engine.operations.alone("the stop"):
+            entered.set()
+            leave.wait(SOON_S)
+
+    def hold() -> None:
+        try:
+            engine.hold(0.2)
+        except InputError as error:
+            raised.append(error)
+
+    threads = [Thread(target=occupy), Thread(target=hold)]
+    threads[0].start()
+    entered.wait(SOON_S)
+    threads[1].start()
+    while not engine.operations._changed._waiters:
+        time.sleep(0.01)
+    engine.park()
+    leave.set()
+    for thread in threads:
+        thread.join(SOON_S)
+    assert "the galvo was parked" in str(raised[0])
+    assert "hold" not in rig.scanner.calls
+
+
+def test_closing_parks_before_it_waits_for_what_holds_the_engine(rig) -> None:
+    """Before: a view that was being made, which may compile for seconds, held it up."""
+    engine = Engine(rig)
+    engine.configure(Settings("240hz", frame_rate_hz=100.0))
+    engine.start(scan=False)
+    engine.hold(0.2)
+    closing = Thread(target=engine.close)
+    with engine._lock:
+        closing.start()
+        end_s = time.monotonic() + SOON_S
+        while not rig.scanner.park_state.parked and time.monotonic() < end_s:
+            time.sleep(0.01)
+        assert rig.scanner.park_state.parked
+    closing.join(SOON_S)
+    assert rig.scanner.calls[-1] == "close"
+
+
+def test_closing_that_is_interrupted_while_it_parks_closes_the_rig(rig, monkeypatch) -> None:
+    engine = Engine(rig)
+    monkeypatch.setattr(engine.galvo, "try_to_park", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        engine.close()
+    assert rig.scanner.calls[-1] == "close"
+
+
+def test_a_request_that_cannot_be_read_ends_the_process_in_order(served: Served, rig, monkeypatch) -> None:
+    """Before: it waited for the procedure that ran, which may go on without end, its galvo moving."""
+
+    def hold_on(measurement: LiveMeasurement, *_: object) -> None:
+        engine = measurement._engine
+        engine.hold(0.2)
+        while True:
+            engine.fresh_frames(1)
+
+    monkeypatch.setattr(LiveMeasurement, "measure", hold_on)
+    served.call("start")
+    served.send("measure_step", GALVO, Draft(), 50)
+    end_s = time.monotonic() + SOON_S
+    while rig.scanner.volts != 0.2 and time.monotonic() < end_s:
+        time.sleep(0.01)
+    served.connection.send_bytes(b"no request")
+    served.thread.join(SOON_S)
+    assert not served.thread.is_alive()
+    assert served.ended_by
+    assert rig.scanner.calls[-1] == "close"
 
 
 def test_the_supervision_goes_on_after_an_error_of_what_it_calls() -> None:

@@ -85,8 +85,7 @@ class Engine(ClosedOnExit):
         self.galvo = GalvoController(rig, self.setup, self.operations, self._faults)
         self._lock = RLock()
         self._tracker: FrameConsumer | None = None
-        self._live = False
-        self._closed = False
+        self._live = self._closed = False
         self._watcher = Watcher(self._check, self._fail)
 
     def configure(self, settings: Settings) -> None:
@@ -99,8 +98,7 @@ class Engine(ClosedOnExit):
         CalibrationError
             If the stream runs, and the calibration does not fit the new frames.
         DeviceError
-            If the camera does not answer. Settings and stream of before are restored, as in all cases; if that fails,
-            the engine is unconfigured.
+            If the camera does not answer. As in all cases, what was before is restored, or the engine unconfigured.
         """
         with self._changing("the camera's configuration"):
             self.refuse_while_recording()
@@ -171,10 +169,8 @@ class Engine(ClosedOnExit):
         ------
         DeviceError
             If camera or card fail; the galvo is parked.
-        InputError
-            If the camera is unconfigured, the ramp does not fit, or another operation runs.
-        CalibrationError
-            If the active calibration does not fit the frames.
+        InputError, CalibrationError
+            If the camera is unconfigured, ramp or calibration do not fit the frames, or another operation runs.
         """
         with self._changing("the start"):
             if self._live:
@@ -199,17 +195,18 @@ class Engine(ClosedOnExit):
     def park(self) -> None:
         """Move the line off the bundle at once, whatever else goes on; frames go on streaming.
 
-        An operation that runs in another thread ends: it does not move the galvo again.
+        An operation that runs in another thread, or waits to, ends: it does not move the galvo again.
         """
         self.operations.interrupt("the galvo was parked")
         self.galvo.park()
 
     def secure(self, error: DeviceError) -> None:
         """Park and end a recording, if there is anything to, because of an error found elsewhere. Waits for no lock."""
-        if self.galvo.park_state.parked and not (self._run is not None and self._run.recorded):
+        idle = self.operations.running is None and not (self._run is not None and self._run.recorded)
+        self.operations.interrupt(error.problem)
+        if idle and self.galvo.park_state.parked:
             return
         self._faults.add("engine", error)
-        self.operations.interrupt(error.problem)
         self.galvo.try_to_park()
         if self._run is not None:
             self._run.end_recording()
@@ -310,15 +307,18 @@ class Engine(ClosedOnExit):
             return
         self._closed = True
         self.operations.interrupt("the engine was closed")
-        self._watcher.stop()
-        with self._lock:
-            try:
-                self._end_run()
-                self.finish_recording()
-            finally:
-                self._rig.close()
-                self.galvo.close()
-                self._imaging.display.close()
+        try:
+            self.galvo.try_to_park()  # before whatever holds the lock, or the watch up
+            self._watcher.stop()
+        finally:
+            with self._lock:
+                try:
+                    self._end_run()
+                    self.finish_recording()
+                finally:
+                    self._rig.close()
+                    self.galvo.close()
+                    self._imaging.display.close()
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:

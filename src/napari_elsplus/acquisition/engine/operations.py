@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import contextmanager
+from math import inf
 from threading import Condition, get_ident
 from typing import TYPE_CHECKING, Final
 
@@ -31,7 +33,8 @@ class Operations:
         self._name: str | None = None
         self._owner: int | None = None
         self._long = False
-        self._interrupted: str | None = None
+        self._given_s = self._interrupted_s = -inf
+        self._reason = ""
 
     @property
     def running(self) -> str | None:
@@ -39,7 +42,7 @@ class Operations:
         return self._name
 
     @contextmanager
-    def alone(self, name: str, *, long: bool = False) -> Iterator[None]:
+    def alone(self, name: str, *, long: bool = False, given_s: float | None = None) -> Iterator[None]:
         """Run an operation while no other one runs.
 
         Parameters
@@ -48,6 +51,9 @@ class Operations:
             With its article, for messages.
         long : bool
             Others are refused at once while it runs; else they wait for it.
+        given_s : float, optional
+            When it was commanded, by ``time.perf_counter``; now by default. An interruption after that is one of it,
+            also before it runs: it may have waited.
 
         Raises
         ------
@@ -57,10 +63,11 @@ class Operations:
         if self._owner == get_ident():
             yield
             return
+        given_s = time.perf_counter() if given_s is None else given_s
         with self._changed:
             if not self._changed.wait_for(lambda: self._name is None or self._long, WAIT_S) or self._name is not None:
                 raise InputError(f"{self._name} is running", "wait until it has ended, or cancel it")
-            self._name, self._owner, self._long, self._interrupted = name, get_ident(), long, None
+            self._name, self._owner, self._long, self._given_s = name, get_ident(), long, given_s
         try:
             yield
         finally:
@@ -69,11 +76,11 @@ class Operations:
                 self._changed.notify_all()
 
     def interrupt(self, reason: str) -> None:
-        """Make the operation of another thread fail at its next :meth:`check`, for a reason."""
+        """Make the operations that other threads run, or wait to, fail at their next :meth:`check`, for a reason."""
         if self._owner != get_ident():
-            self._interrupted = reason
+            self._reason, self._interrupted_s = reason, time.perf_counter()
 
     def check(self) -> None:
         """Raise an InputError if the operation of this thread was interrupted."""
-        if self._owner == get_ident() and self._interrupted is not None:
-            raise InputError(f"{self._interrupted}, so {self._name} has ended", "start it again")
+        if self._owner == get_ident() and self._interrupted_s > self._given_s:
+            raise InputError(f"{self._reason}, so {self._name} has ended", "start it again")

@@ -7,8 +7,10 @@ import secrets
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from multiprocessing.connection import Client
 from threading import Event, Lock, Thread
@@ -17,10 +19,12 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.link.commands import Commands
 from napari_elsplus.acquisition.link.messages import HEARTBEAT_S, QUIT, Activated, Heartbeat, Reply, Request
+from napari_elsplus.acquisition.streaming.faults import Fault
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.detached import DETACHED
+from napari_elsplus.hardware.parking import ParkState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +33,10 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 ENGINE: Final = (sys.executable, "-m", "napari_elsplus.acquisition.link.server")
+SILENT_S: Final = 3.0
+"""Seconds without a status, which comes ten times a second, after which an engine does not answer; chosen: longer than
+a busy computer delays one, and than its guardian waits to park."""
+SILENT_REMEDY: Final = "its guardian parks the galvo; disconnect, which ends the engine, and connect again"
 _CLOSING_TIMEOUT_S: Final = 30.0
 """Chosen: a recording behind by all 2 s of frames in memory is finished on a disk of a tenth of the usual speed."""
 
@@ -62,6 +70,7 @@ class EngineClient(ClosedOnExit, Commands):
         self._closing = False
         self._ring: SharedRing | None = None
         self._attended: Callable[[], bool] = lambda: True
+        self._unheard = 0
         self._ended = Event()
         self._reader = Thread(target=self._receive, name="engine-client", daemon=True)
         self._reader.start()
@@ -98,8 +107,11 @@ class EngineClient(ClosedOnExit, Commands):
 
     @property
     def status(self) -> Status:
-        """The newest status of the engine."""
-        return self._status
+        """The newest status of the engine; with a fault, and nothing known of the galvo, where it does not answer."""
+        if self._unheard * HEARTBEAT_S < SILENT_S or self._died is not None:
+            return self._status
+        silent = Fault("engine", f"the engine has not answered for {SILENT_S:g} s", SILENT_REMEDY, time.time())
+        return replace(self._status, park_state=ParkState(), faults=(*self._status.faults, silent))
 
     def display(self) -> SharedRing | None:
         """Return the ring of the newest images; to be used by one thread, until the next call."""
@@ -116,7 +128,7 @@ class EngineClient(ClosedOnExit, Commands):
         return self._ring
 
     def close(self) -> None:
-        """End the engine: recording finished, galvo parked, nothing left."""
+        """End the engine: recording finished, galvo parked, nothing left; `status` then tells whether it was parked."""
         if self._closing:
             return
         self._closing = True
@@ -170,6 +182,7 @@ class EngineClient(ClosedOnExit, Commands):
                 message = self._connection.recv()
             except (EOFError, OSError):
                 break
+            self._unheard = 0
             match message:
                 case Status():
                     self._status = message
@@ -181,6 +194,7 @@ class EngineClient(ClosedOnExit, Commands):
 
     def _beat(self) -> None:
         while not self._ended.wait(HEARTBEAT_S):
+            self._unheard += 1
             if self._attended():
                 with self._lock, suppress(OSError):
                     self._connection.send(Heartbeat())
@@ -202,7 +216,7 @@ class EngineClient(ClosedOnExit, Commands):
             how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
             error = DeviceError(
                 f"the engine's process ended ({how})",
-                "the galvo was parked and what was recorded is kept: connect again",
+                "its guardian parks the galvo, and what was recorded is kept: connect again, which confirms that",
             )
         with self._lock:
             self._died = error

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.acquisition.link.messages import Request
     from napari_elsplus.acquisition.link.session import Session
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.tally import Latencies
@@ -255,17 +256,17 @@ COMMANDS: Final[Mapping[str, Command[..., Any]]] = {
 }
 
 
-def execute(session: Session, name: str, *arguments: Any, **options: Any) -> Any:
-    """Execute a command in the engine's process.
+def execute(session: Session, request: Request, given_s: float) -> Any:
+    """Execute a command in the engine's process, and return its result.
 
     Parameters
     ----------
     session : Session
         The open rig.
-    name : str
-        Of the command.
-    *arguments, **options
-        Its arguments.
+    request : Request
+        Name and arguments of the command.
+    given_s : float
+        When it came, by ``time.perf_counter``: it does not move a galvo that was parked since then.
 
     Raises
     ------
@@ -274,14 +275,14 @@ def execute(session: Session, name: str, *arguments: Any, **options: Any) -> Any
     InputError
         If it has to wait for a recording or another operation.
     """
-    command, title = COMMANDS[name], name.replace("_", " ")
+    command, title = COMMANDS[request.name], request.name.replace("_", " ")
     with ExitStack() as held:
         if command.needs_rig:
             engine = session.engine
             if not command.while_recording:
                 engine.refuse_while_recording()
             if command.turn is Turn.EXCLUSIVE:
-                held.enter_context(engine.operations.alone(title))
+                held.enter_context(engine.operations.alone(title, given_s=given_s))
             elif command.turn is Turn.PROCEDURE:
-                held.enter_context(session.procedure(title, activates=command.activates))
-        return command.run(session, *arguments, **options)
+                held.enter_context(session.procedure(title, given_s, activates=command.activates))
+        return command.run(session, *request.arguments, **request.options)

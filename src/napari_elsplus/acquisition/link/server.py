@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Listener
@@ -68,30 +69,36 @@ class Server:
         try:
             compiling = reported_compilation(self._session.report_compilation)
             with compiling, ThreadPoolExecutor(_THREADS, "command") as pool:
-                while True:
-                    try:
-                        request = self._connection.recv()
-                    except (EOFError, OSError):
-                        break
-                    self._session.supervision.beat()
-                    if isinstance(request, Heartbeat):
-                        continue
-                    if request.name == QUIT:
-                        break
-                    if COMMANDS[request.name].turn is Turn.IMMEDIATE:
-                        self._execute(request)
-                    else:
-                        pool.submit(self._execute, request)
-                self._session.close()
+                try:
+                    self._receive(pool)
+                finally:
+                    self._session.close()  # which ends what runs
         finally:
             self._ended.set()
             self._session.supervision.stop()
-            self._session.close()
+            self._session.close()  # what was opened meanwhile
             sender.join()
+            self._send()  # whether the galvo was parked
 
-    def _execute(self, request: Request) -> None:
+    def _receive(self, pool: ThreadPoolExecutor) -> None:
+        """Execute requests until the connection ends."""
+        while True:
+            try:
+                request = self._connection.recv()
+            except (EOFError, OSError):
+                return
+            if isinstance(request, Heartbeat):
+                self._session.supervision.beat()
+            elif request.name == QUIT:
+                return
+            elif COMMANDS[request.name].turn is Turn.IMMEDIATE:
+                self._execute(request, time.perf_counter())
+            else:
+                pool.submit(self._execute, request, time.perf_counter())
+
+    def _execute(self, request: Request, given_s: float) -> None:
         try:
-            reply = Reply(request.number, execute(self._session, request.name, *request.arguments, **request.options))
+            reply = Reply(request.number, execute(self._session, request, given_s))
         except (ElsPlusError, OSError) as error:
             reply = Reply(request.number, error=error)
         except Exception as error:  # noqa: BLE001 a defect of ours: the client shall have it, and not wait for ever

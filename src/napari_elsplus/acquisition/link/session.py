@@ -14,6 +14,7 @@ from napari_elsplus.acquisition.link.newest import Newest
 from napari_elsplus.acquisition.link.supervision import Supervision
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 from napari_elsplus.errors import DeviceError, InputError, MeasurementError
+from napari_elsplus.hardware.parking import ParkState
 from napari_elsplus.hardware.priority import settle_memory
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class Session:
         self._cancelled = Event()
         self._progress: Progress | None = None
         self._compiling = ""
+        self._left = ParkState()
         self.supervision = Supervision(self._secure)
         self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
 
@@ -70,8 +72,9 @@ class Session:
         opened, self._opened = self._opened, None
         self._cancelled.set()
         if opened is not None:
-            _, engine, mosaic = opened
+            rig, engine, mosaic = opened
             engine.close()
+            self._left = rig.scanner.park_state
             mosaic.clear()
 
     @property
@@ -96,9 +99,9 @@ class Session:
 
     @property
     def status(self) -> Status:
-        """Return the status of the engine, the mosaic and the procedure."""
+        """Return the status of the engine, the mosaic and the procedure; of a rig that was closed its galvo's."""
         if self._opened is None:
-            return Status(progress=self._progress, compiling=self._compiling)
+            return Status(progress=self._progress, compiling=self._compiling, park_state=self._left)
         _, engine, mosaic = self._opened
         return replace(engine.status(), progress=self._progress, compiling=self._compiling, track=mosaic.state)
 
@@ -120,18 +123,20 @@ class Session:
             opened[1].secure(fault)
 
     @contextmanager
-    def procedure(self, name: str, *, activates: bool) -> Iterator[None]:
+    def procedure(self, name: str, given_s: float, *, activates: bool) -> Iterator[None]:
         """Run a procedure alone, with its progress in the status.
 
         Parameters
         ----------
         name : str
             For messages.
+        given_s : float
+            When it was commanded, by ``time.perf_counter``.
         activates : bool
             The calibration that it activated stays active; else, and if it fails, that of before is restored.
         """
         engine, before = self.engine, self.engine.calibration
-        with engine.operations.alone(name, long=True):
+        with engine.operations.alone(name, long=True, given_s=given_s):
             self._cancelled.clear()
             self._progress = Progress(name, 0, 1)
             done = False

@@ -1,0 +1,71 @@
+"""What a client knows of the galvo when the engine has ended, or does not answer: parked, not parked, or nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.hardware.parking import ParkStage
+from napari_elsplus.hardware.virtual.card.process import RemoteCard, start_card
+
+ENGINE = Path(__file__).parents[1] / "engine_process.py"
+
+
+def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def card() -> Iterator[RemoteCard]:
+    with start_card() as card:
+        yield card
+
+
+@pytest.fixture
+def client(card: RemoteCard, tmp_path: Path) -> Iterator[EngineClient]:
+    with EngineClient((sys.executable, str(ENGINE), str(tmp_path / "log"), card.address)) as client:
+        client.open("small").result(60)
+        client.configure(Settings("240hz", frame_rate_hz=100.0)).result(60)
+        client.start().result(60)
+        client.hold(0.25).result(60)
+        yield client
+
+
+def test_a_client_that_has_closed_its_engine_knows_that_the_galvo_is_parked(client: EngineClient) -> None:
+    """Before: the last that it knew was from before."""
+    client.close()
+    assert client.status.park_state.stage is ParkStage.PARKED
+
+
+def test_a_client_that_has_closed_its_engine_knows_that_the_galvo_is_not_parked(client, card) -> None:
+    """Before: that was said on the terminal alone."""
+    card.inject(refuse_s=60.0)
+    client.close()
+    assert client.status.park_state.message.startswith("NOT PARKED: switch the laser off")
+    card.inject(refuse_until_s=0.0)
+    until(lambda: card.last_volts == pytest.approx(-0.7))  # by the guardian
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops processes as POSIX does")
+def test_of_an_engine_that_does_not_answer_nothing_is_claimed(client: EngineClient) -> None:
+    """Before: its last status was displayed without end, as if frames streamed."""
+    os.kill(client.pid, signal.SIGSTOP)
+    try:
+        until(lambda: any("has not answered" in fault.problem for fault in client.status.faults))
+        assert client.status.park_state.stage is ParkStage.UNKNOWN
+    finally:
+        os.kill(client.pid, signal.SIGCONT)
+    until(lambda: client.status.park_state.parked)
+    assert any("stood still" in fault.problem for fault in client.status.faults)
+    assert not any("has not answered" in fault.problem for fault in client.status.faults)
