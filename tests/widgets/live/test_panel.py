@@ -108,6 +108,18 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     assert datetime.fromisoformat(facts["displayed_since"]).tzinfo is not None
 
 
+def test_park_while_a_start_is_prepared_starts_nothing(viewer, panel, qtbot):
+    """Before: the galvo was parked, and scanned a moment later."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    panel.form.start.native.click()
+    rig.park()
+    qtbot.waitUntil(lambda: not panel.requests.busy and not rig.requests.busy, timeout=30_000)
+    qtbot.wait(300)
+    assert not panel.connection.client.status.live
+    start(panel, qtbot)
+    stop(panel, qtbot)
+
+
 def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):
     start(panel, qtbot)
     panel.form.record.native.click()

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
 
 from napari_elsplus.acquisition.engine.status import RecordingState, Status
+from napari_elsplus.acquisition.streaming.faults import Fault
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.widgets.dock.status_line import rig_line
+from napari_elsplus.widgets.dock.status_line import newest_fault, rig_line
 from napari_elsplus.widgets.live.status import status_text
+from napari_elsplus.widgets.shared.connection import join
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
 ADVICE = "scan lag not measured: the image is off the slit"
@@ -51,6 +58,36 @@ def test_a_parked_galvo_is_said_while_dark_frames_stream():
     assert "parked" not in status_text(driven, scanned, 30.0, busy=False)
     assert "galvo parked" in rig_line("simulated", parked)
     assert "parked" not in rig_line("simulated", driven)
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_not_parked_is_said_until_it_is_parked_whatever_else_fails(live):
+    """Before: any later fault took its place, and it stayed after the galvo was parked."""
+    problem = "NOT PARKED: switch the laser off (the card is in use)"
+    faults = (Fault("scanner", problem, "parking goes on", 0.0), Fault("camera", "it was unplugged", "plug it in", 0.0))
+    refusing = Status(live=live, park_state=ParkState(ParkStage.NOT_PARKED, "the card is in use"), faults=faults)
+    assert "NOT PARKED: switch the laser off (the card is in use" in rig_line("mine", refusing)
+    assert "unplugged" in newest_fault(refusing)
+    parked = replace(refusing, park_state=ParkState(ParkStage.PARKED), faults=faults[:1])
+    assert "galvo parked" in rig_line("mine", parked)
+    assert newest_fault(parked) == ""
+    assert newest_fault(replace(refusing, faults=faults[:1])) == f"{problem}: parking goes on"
+
+
+def test_a_disconnected_galvo_that_is_not_known_to_be_parked_is_an_error():
+    """Before: the window said nothing of it any more."""
+    connection = join()
+    try:
+        for stage, message in ((ParkStage.NOT_PARKED, "NOT PARKED"), (ParkStage.DRIVEN, "switch the laser off")):
+            status = Status(park_state=ParkState(stage, "the card is in use"))
+            connection._client = SimpleNamespace(close=lambda: None, status=status, died=None, calibration=None)
+            connection.rig = "mine"
+            with pytest.raises(DeviceError, match=message):
+                connection.disconnect()
+            assert connection.client is None
+        connection.disconnect()
+    finally:
+        connection.leave()
 
 
 def test_the_folder_of_a_recording_is_named(tmp_path: Path):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
 
+from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
 from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.processing.compilation import compilation_remark
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
@@ -60,7 +61,7 @@ class StatusLine(QWidget):
         first, *lacking = calibration_lines(calibration, active_calibration() if calibration is None else file)
         lines.append("; ".join([first, *lacking]))
         _set_text(self.state, "<br>".join(lines))
-        newest = str(connection.died or "") or _newest_fault(status) or problems.newest
+        newest = str(connection.died or "") or newest_fault(status) or problems.newest
         if newest != self._problem:
             self._problem, self._dismissed = newest, False
             self._show_problem()
@@ -95,7 +96,10 @@ def rig_line(rig: str | None, status: Status | None) -> str:
         doing = f"live, camera {status.camera_hz:.0f} Hz" if isfinite(status.camera_hz) else "live"
     else:
         doing = "connected, not streaming"
-    if status.live and status.park_state.parked:
+    parking = status.park_state
+    if parking.stage is ParkStage.NOT_PARKED:
+        doing += f"; <b>{amber(escape(parking.message))}</b>"
+    elif parking.parked:
         doing += "; galvo parked"
     recording = status.recording
     if recording is not None and recording.running:
@@ -107,8 +111,12 @@ def rig_line(rig: str | None, status: Status | None) -> str:
     return f"<b>{rig}</b>: {doing}"
 
 
-def _newest_fault(status: Status | None) -> str:
-    return str(status.faults[-1]) if status is not None and status.faults else ""
+def newest_fault(status: Status | None) -> str:
+    """Return the newest fault of a `status`, empty without one; not that the galvo did not park, once it has."""
+    faults = () if status is None else status.faults
+    if status is not None and status.park_state.parked:
+        faults = tuple(fault for fault in faults if not fault.problem.startswith(LASER_OFF))
+    return str(faults[-1]) if faults else ""
 
 
 def _set_text(label: QLabel, text: str) -> None:

@@ -79,6 +79,7 @@ class LivePanel(EnginePanel):
     def toggle(self) -> None:
         """Start the stream, connecting and calibrating first if needed; or stop it."""
         client = self.connection.client
+        self.note_start()
         if client is None:
             rig, settings = remembered_rig(), remembered_settings()
             self.requests.run(lambda: self.connection.connect(rig, settings), self._start)
@@ -187,7 +188,7 @@ class LivePanel(EnginePanel):
         if client.calibration is None and is_simulated(self.connection.rig):
             self.requests.follow(client.use_simulated_calibration(), lambda _: self._calibrate_and_start(client))
             return
-        self.requests.follow(client.show(self.form.view), lambda _: self.requests.follow(client.start()))
+        self.requests.follow(client.show(self.form.view), lambda _: self.start_stream(client))
 
     def _show_newest(self, client: EngineClient, now_s: float) -> None:
         ring = client.display()

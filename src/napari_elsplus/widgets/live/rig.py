@@ -112,10 +112,10 @@ class RigPanel(EnginePanel):
         self.refresh()
 
     def park(self) -> None:
-        """Move the laser line off the bundle; without a rig there is nothing to move."""
-        client = self.connection.client
-        if client is not None:
-            self.requests.follow(client.park())
+        """Move the laser line off the bundle; what is about to start is not started."""
+        parked = self.connection.park()
+        if parked is not None:
+            self.requests.follow(parked)
 
     def calibrate(self) -> None:
         """Calibrate the simulated rig, or cancel its calibration."""
@@ -164,7 +164,7 @@ class RigPanel(EnginePanel):
         self.rig.enabled = not connected and not busy
         for field in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             field.enabled = connected or not busy  # what is typed while it connects would be lost
-        self.parking.enabled = self.open_file.enabled = connected
+        self.parking.enabled, self.open_file.enabled = connected or busy, connected
         self.parking.tooltip = (
             f"Move the laser line off the bundle ({key_name('park')}){'' if connected else '; connect first'}"
         )

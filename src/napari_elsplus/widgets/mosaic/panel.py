@@ -144,6 +144,7 @@ class MosaicPanel(EnginePanel):
             self.requests.follow(client.track(None))
         elif self._may_replace("The new live mosaic"):
             self._following_live = True
+            self.note_start()
             client = self.connection.client  # it may have ended while the question was displayed
             if client is not None:
                 self._start_live(client)
@@ -270,9 +271,7 @@ class MosaicPanel(EnginePanel):
         if client.calibration is None and is_simulated(self.connection.rig):
             self.requests.follow(client.use_simulated_calibration(), lambda _: self._start_live(client))
         elif not client.status.live:
-            self._track(
-                client, lambda _: self.requests.follow(client.start())
-            )  # kernels are compiled before the first frame
+            self._track(client, lambda _: self.start_stream(client))  # kernels are compiled before the first frame
         else:
             self._track(client)
 

@@ -13,6 +13,7 @@ from qtpy.QtCore import QCoreApplication, QTimer
 
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.io.settings import recall
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class Connection:
         self._settings: Settings | None = None
         self.rig: str | None = None
         """Name of the connected rig."""
+        self.parks = 0
+        """Times that a user has commanded to park; what was commanded before one of them does not move the galvo."""
 
     @property
     def client(self) -> EngineClient | None:
@@ -186,9 +189,31 @@ class Connection:
         return client
 
     def disconnect(self) -> None:
-        """End the engine's process: park the galvo, finish a recording; the active calibration is kept."""
+        """End the engine's process: park the galvo, finish a recording; the active calibration is kept.
+
+        Raises
+        ------
+        DeviceError
+            If the galvo is not known to be parked.
+        """
         with self._lock:
+            client = self._client
             self._end()
+        parking = ParkState() if client is None else client.status.park_state
+        if parking.stage not in (ParkStage.PARKED, ParkStage.UNKNOWN):
+            raise DeviceError(
+                parking.message or "the engine did not end in order: switch the laser off",
+                "connect again, which parks the galvo and confirms it",
+            )
+
+    def park(self) -> Future[None] | None:
+        """Move the laser line off the bundle; return the future confirmation, None without a rig.
+
+        What a panel is about to start, after connecting for instance, is not started: see `parks`.
+        """
+        self.parks += 1
+        client = self.client
+        return None if client is None else client.park()
 
     def leave(self) -> None:
         """Release the connection for one panel; the last one ends the engine and discards the calibration.

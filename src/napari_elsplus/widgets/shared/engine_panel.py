@@ -45,6 +45,7 @@ class EnginePanel(Panel):
         self.connection = join()
         self.requests = PendingRequests(self, self.refresh)
         self._closed = False
+        self._parks = 0
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
     def refresh(self) -> None:
@@ -76,6 +77,17 @@ class EnginePanel(Panel):
             then()
         else:
             self.requests.follow(self.connection.apply(active, path), lambda _: then(), failed=then)
+
+    def note_start(self) -> None:
+        """Note that the user starts the stream, which :meth:`start_stream` does once all is ready for it."""
+        self._parks = self.connection.parks
+
+    def start_stream(self, client: EngineClient) -> None:
+        """Start the stream of a client, unless the galvo was parked since :meth:`note_start`."""
+        if self._parks == self.connection.parks:
+            self.requests.follow(client.start())
+        else:
+            show_info("the galvo was parked meanwhile, so the stream was not started: start it again")
 
     def measure_lag(self) -> None:
         """Measure the scan lag of the active calibration on the connected rig, and activate the result."""
