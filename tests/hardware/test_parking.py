@@ -127,6 +127,26 @@ def test_it_is_retried_without_end_and_parked_soon_after_the_card_accepts_again(
     assert output.now_s - 300.0 < 0.5
 
 
+def test_an_error_that_no_card_raises_is_a_failed_attempt_too() -> None:
+    """Before: it ended the guardian, which nobody replaces once its process has died."""
+
+    class Defective(SimulatedOutput):
+        def put(self, volts: float) -> None:
+            self.steps.append("put")
+            if self.steps.count("put") < 3:
+                raise MemoryError
+            super().put(volts)
+
+        def clear(self) -> None:
+            raise ValueError("a defect")
+
+    output = Defective()
+    parking = Parking(output, PARK_V, output.clock)
+    assert "MemoryError" in parking.attempt().message
+    assert "ValueError: a defect" in parking.attempt().message
+    assert until_parked(parking, output).attempts == 3
+
+
 def test_states_can_be_subscribed_to_and_a_subscriber_that_fails_does_not_stop_parking() -> None:
     output = SimulatedOutput(refuses_until_s=0.01)
     parking = Parking(output, PARK_V, output.clock)

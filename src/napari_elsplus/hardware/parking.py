@@ -189,7 +189,7 @@ class Parking:
             return self._changed.wait_for(lambda: self._state.parked, timeout_s)
 
     def attempt(self) -> ParkState:
-        """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises for an error of the card."""
+        """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises, whatever the output does."""
         self.begin(ParkStage.PARKING)
         before, volts = self._state, self.volts
         resets, reset_s = before.resets, before.reset_s
@@ -208,8 +208,9 @@ class Parking:
                 reset_s += self._now_s() - begun_s
                 self._try(self.output.laser_off)  # a reset sets digital lines to their power-up state
             read_back_v = self.output.confirm(volts)
-        except DeviceError as error:
-            problem = next(filter(None, reversed(problems)), str(error)) if before.attempts else str(error)
+        except Exception as error:  # noqa: BLE001 - the next attempt has to come, also after a defect or without memory
+            failed = _problem(error)
+            problem = next(filter(None, reversed(problems)), failed) if before.attempts else failed
             state = ParkState(ParkStage.NOT_PARKED, problem, before.attempts + 1, resets, reset_s)
         else:
             stage = ParkStage.PARKED if volts == self.volts else ParkStage.PARKING  # it may have been changed meanwhile
@@ -222,8 +223,8 @@ class Parking:
         """Return the error of a step, empty if there is none: the write decides."""
         try:
             step()
-        except DeviceError as error:
-            return str(error)
+        except Exception as error:  # noqa: BLE001 - see `attempt`
+            return _problem(error)
         return ""
 
     def _change(self, change: Callable[[ParkState], ParkState | None]) -> None:
@@ -236,6 +237,10 @@ class Parking:
             subscribers = tuple(self._subscribers)
             self._changed.notify_all()
         call_each(subscribers, state)
+
+
+def _problem(error: Exception) -> str:
+    return str(error) if isinstance(error, DeviceError) else f"{type(error).__name__}: {error}"
 
 
 def call_each(subscribers: Iterable[Callable[[News], None]], news: News) -> None:

@@ -90,6 +90,33 @@ def test_a_command_whose_call_nothing_ends_is_given_up_and_gone_around_once(card
     assert not done, "a command that was given up is not executed later"
 
 
+def test_a_call_is_gone_around_at_the_next_check_where_that_fails(monkeypatch) -> None:
+    """Before: the first error but the card's own ended the thread that watches calls."""
+    monkeypatch.setattr(calls_module, "STUCK_S", 0.1)
+    calls, around, over, returns = Calls("Dev1"), [], threading.Event(), threading.Event()
+
+    def go_around(call: int) -> bool:
+        around.append(call)
+        if len(around) == 1:
+            raise MemoryError
+        returns.set()
+        return True
+
+    def hang() -> None:
+        with calls():
+            returns.wait(5)
+
+    thread = CardThread(calls, lambda: None if over.is_set() else 0.02, lambda: 1 // 0, go_around)
+    thread.start()
+    thread.execute(hang)
+    assert len(around) == 2
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    over.set()
+    thread.join(5)
+    with pytest.raises(DeviceError, match="was closed"):
+        thread.execute(hang)
+
+
 def test_commands_are_executed_in_turn_and_raise_where_they_were_given(card_thread) -> None:
     thread, *_ = card_thread
     assert thread.execute(lambda: thread.execute(lambda: 3)) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
@@ -13,6 +14,7 @@ from napari_elsplus.hardware.daq.errors import translate_daq_errors
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+_log = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 CHECK_EVERY_S: Final = 0.02
@@ -202,17 +204,22 @@ class CardThread:
             self._watch.join(timeout_s)
 
     def _run(self) -> None:
-        while (pause_s := self._routine()) is not None:
-            self._wake.wait(pause_s)
-            self._wake.clear()
-            while self._commands:
-                self._commands.pop(0).run()
-        self._end()
-        self._ended.set()
+        try:
+            while (pause_s := self._routine()) is not None:
+                self._wake.wait(pause_s)
+                self._wake.clear()
+                while self._commands:
+                    self._commands.pop(0).run()
+            self._end()
+        finally:
+            self._ended.set()
 
     def _watch_calls(self) -> None:
         patience, parked = Patience(self._calls), 0
         while not patience.wait(self._ended):
             call = self._calls.pending
-            if patience.waited_s > STUCK_S and call != parked and self._go_around(call):
-                parked = call
+            try:
+                if patience.waited_s > STUCK_S and call != parked and self._go_around(call):
+                    parked = call
+            except Exception:  # noqa: BLE001 - tried again at the next check
+                _log.exception("a call that does not return was not gone around")

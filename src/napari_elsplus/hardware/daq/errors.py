@@ -23,7 +23,11 @@ GONE = ("the card does not answer any more", "plug it in again, then open the ri
 IN_USE: Final = -50103
 """Status code of a resource that another task reserves."""
 CODES: Final = {
-    IN_USE: ("the card is in use by another program", "close NI MAX's test panels and other programs that drive it"),
+    IN_USE: (
+        "the card is in use by another program",
+        "close NI MAX's test panels and other programs that drive it; if there is none, switch the laser off and reset "
+        "the card in NI MAX",
+    ),
     -200220: ("there is no such card", "see its name with `napari-elsplus doctor` and write it into the rig's file"),
     -200170: ("the card has no such channel", "check output, counter and strobe in the rig's file"),
     -200621: UNDERRUN,
