@@ -8,6 +8,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.calibration.measurements import measure_flat_field
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
@@ -85,6 +86,26 @@ def test_background_and_flat_leave_the_scene() -> None:
     raw = (50 * vignette + background).astype(np.float32)
     image = front_end.image(raw, np.empty((front_end.grid.side,) * 2, np.float32))
     assert np.abs(image - 50)[inside(front_end.grid, 0.9)].max() < 0.2
+
+
+@pytest.mark.parametrize(("diameter", "pitch_px"), [(400.0, 2.6), (280.0, 2.4)])
+def test_flat_field_leaves_none_of_the_pattern_of_the_cores(diameter: float, pitch_px: float) -> None:
+    """Smooth tissue has a texture of a few per cent, and a pattern that stays holds its registration back."""
+    rng = np.random.default_rng(4)
+    j, i = np.mgrid[-150:151, -150:151]
+    y, x = pitch_px * np.stack([0.866 * j, i + 0.5 * (j % 2)]).reshape(2, -1) + rng.normal(0, 0.3, (2, j.size))
+    lit = np.hypot(y, x) < diameter / 2
+    y, x, light = LEFT[0] + y[lit], LEFT[1] + x[lit], rng.normal(1, 0.15, lit.sum())
+    frame = np.zeros(SHAPE)
+    for down, aside in np.ndindex(9, 9):
+        row, col = np.rint(y).astype(int) + down - 4, np.rint(x).astype(int) + aside - 4
+        np.add.at(frame, (row, col), 300 * light * np.exp(-((row - y) ** 2 + (col - x) ** 2) / (0.18 * pitch_px**2)))
+    record = calibration(diameter)
+    record = record.model_copy(update={"flat": measure_flat_field(frame[None].astype(np.float32), record)})
+    front_end = FrontEnd(record, SHAPE, Mode.LS)
+    image = front_end.image(frame.astype(np.float32), np.empty((front_end.grid.side,) * 2, np.float32))
+    fine = (image - cv2.GaussianBlur(image, (0, 0), 3))[inside(front_end.grid, 0.8)]
+    assert fine.std() < 0.001 * image[inside(front_end.grid, 0.8)].mean()
 
 
 def test_bundle_is_binned_to_about_one_pixel_per_core() -> None:

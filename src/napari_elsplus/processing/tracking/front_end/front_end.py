@@ -18,6 +18,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
 from napari_elsplus.processing.images.hot_pixels import HotPixels
+from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
 from napari_elsplus.processing.tracking.front_end.binning import is_blank, subtract_views
@@ -35,6 +36,8 @@ half are registered, and calibration refuses views of which less than 90 % are s
 BACKGROUND_STEPS: Final = 1 << 16
 """Steps per grey level in which the background is binned; chosen: finer than float32 resolves 255 grey levels."""
 _LOWEST_FLAT: Final = 0.2
+_FLAT_ROUNDS: Final = 5
+"""Iterations in which the flat is freed of its resampling; chosen: with more the pattern that stays is as large."""
 _BINOMIAL: Final = np.array([1, 4, 6, 4, 1], np.float32)
 
 
@@ -156,14 +159,20 @@ class FrontEnd:
         return bool(is_blank(_readable(raw), top + reach // 4, left + reach // 4, reach // 2, _largest(raw.dtype)))
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the flat, whose middle is the bundle's centre, on the grid."""
+        """Return the flat, whose middle is the bundle's centre, on the grid.
+
+        It was resampled, by which the cores lost contrast that they have in frames. What is binned is the image in the
+        camera's pixels whose resampling it is, by Landweber's iteration.
+        """
         grid, q = self.grid, self.grid.binning
-        where = (np.arange(grid.side * q) + 0.5) / q - 0.5
-        rows, cols = (
-            ((where - c) * q + (n - 1) / 2).astype(np.float32) for c, n in zip(grid.centre, flat.shape, strict=True)
-        )
-        fine = cv2.remap(flat, *np.meshgrid(cols, rows), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        binned: NDArray[np.float32] = fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
+        side, middle = grid.side * q, (len(flat) - 1) / 2
+        from_middle = np.multiply(grid.centre, q) + (q - 1) / 2 - (side - 1) / 2
+        there, back = tuple(middle - from_middle), tuple((side - 1) / 2 + from_middle)
+        left, fine = flat - 1, np.zeros((side, side), np.float32)
+        for _ in range(_FLAT_ROUNDS):
+            fine += cropped(left, there, side)
+            left = flat - 1 - cropped(fine, back, len(flat))
+        binned: NDArray[np.float32] = 1 + fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
         return binned
 
 
