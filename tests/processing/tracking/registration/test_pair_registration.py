@@ -56,6 +56,36 @@ def test_all_shifts_are_searched() -> None:
     assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.3
 
 
+def grid_target(side: int, period_px: float, defects: float, seed: int) -> np.ndarray:
+    """Lines both ways; defects are parts of the period by which they are misplaced, and of their brightness."""
+    rng = np.random.default_rng(seed)
+    at, lines = np.arange(side), np.full((2, side), 0.1)
+    for axis in range(2):
+        for k in range(int(side / period_px) + 1):
+            place, light = (k + rng.normal(0, defects)) * period_px, 0.4 * rng.normal(1, 2 * defects)
+            lines[axis] += light * (1 - np.tanh((np.abs(at - place) - period_px / 4) / 1.4)) / 2
+    return (lines[0][:, None] + lines[1]).astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("period_px", [13.3, 19.1])
+def test_a_grid_of_lines_that_are_not_quite_alike_is_found_where_it_is(period_px: float, seed: int) -> None:
+    """A multiple of the period away the frames correlate nearly as well, and more pixels of a coarse search meet."""
+    speed = (1.0, 0.78 * period_px)
+    registrar, a, b, _, truth = pair(grid_target(700, period_px, 0.06, seed), speed, speed)
+    link = registrar.register(a, b, about(registrar.grid.shutter, Warp(), shift_px=50.0), anywhere=True)
+    assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.1
+    assert link.observed
+
+
+@pytest.mark.parametrize("period_px", [13.3, 19.1])
+def test_a_grid_of_lines_that_are_alike_tells_no_shift(period_px: float) -> None:
+    speed = (1.0, 0.78 * period_px)
+    registrar, a, b, _, _ = pair(grid_target(700, period_px, 0.0, 0), speed, speed, haze=0.0)
+    link = registrar.register(a, b, about(registrar.grid.shutter, Warp(), shift_px=50.0), anywhere=True)
+    assert not link.observed
+
+
 def test_covariance_is_honest() -> None:
     """Errors over many noisy pairs are as large as the covariance says, within a factor of two."""
     scene = texture(600, 3)

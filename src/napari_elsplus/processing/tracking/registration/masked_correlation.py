@@ -1,7 +1,7 @@
 """Normalised correlation of two high-passed images under a mask, at every shift at once, by Fourier transform.
 
-Of raw frames it finds the most likely shift, which is then registered; of finished images it gives the odds of one, and
-of thumbnails it finds those that show the same place.
+Of raw frames it finds the most likely shifts, which are then registered (``shift_search``); of finished images it gives
+the odds of one, and of thumbnails it finds those that show the same place.
 
 References
 ----------
@@ -15,15 +15,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
-
-_NATS_PER_CELL: Final = 0.05
-"""Weight of a cell of quarter resolution: its part of an independent value, over two."""
 MAX_CORRELATION: Final = 0.999
 """Largest correlation that is counted; chosen, against the logarithm of zero."""
 
@@ -133,35 +127,3 @@ def high_passed(image: NDArray[np.float32], mask: NDArray[np.float32], px: float
 def opposite(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return values at the opposite shifts: the earlier image is shifted by these against the later one."""
     return np.roll(values[::-1, ::-1], 1, axis=(0, 1))
-
-
-class ShiftSearch(MaskedCorrelation):
-    """Finds the most likely shift between two discs by their correlation and the motion prior.
-
-    Parameters
-    ----------
-    first, last : numpy.ndarray
-        (n,) int32: lit columns of each row of the coarse images.
-    scale : float
-        Pixels of full resolution per coarse one.
-    """
-
-    def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
-        super().__init__(lit_pixels(first, last).astype(np.float32))
-        self._shifts = (self.lags * scale).astype(np.float32)
-
-    def best(self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior) -> tuple[float, float]:
-        """Return the most likely shift (b, d), in pixels of full resolution.
-
-        Parameters
-        ----------
-        earlier, later : CoarseImage
-            Both frames, prepared.
-        motion : MotionPrior
-            Prior of the motion between them.
-        """
-        alike = np.clip(self.coefficients(earlier.as_template, later), 0.0, MAX_CORRELATION)
-        score = motion.log_density(self._shifts[:, None], self._shifts)
-        score -= _NATS_PER_CELL * self.overlap * np.log(1 - alike * alike)
-        row, col = np.unravel_index(np.argmax(score), score.shape)
-        return float(self._shifts[row]), float(self._shifts[col])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.sampling import FramePair
-    from napari_elsplus.processing.tracking.motion.motion_prior import Terms
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
     Array = NDArray[np.float64]
@@ -207,6 +207,23 @@ def log_odds(
         less += prior_terms(full, expected, terms)[1] - prior
         against += alike * np.exp(-min(max(less, -700.0), 700.0))
     return float(-np.log(max(against, 1e-300)))
+
+
+def log_odds_between(pair: FramePair, warp: Warp, other: Warp, motion: MotionPrior, sums: Array) -> float:
+    """Return the log odds of a registered warp against another one of the same frames, nats.
+
+    Parameters
+    ----------
+    pair, sums
+        As in :func:`log_ratio`.
+    warp, other : Warp
+        Both, in pixels of full resolution.
+    motion : MotionPrior
+        Prior of the motion between the frames.
+    """
+    nats: float = log_ratio(pair, in_pixels_of(2.0, warp), in_pixels_of(2.0, other), sums)
+    less, more = (prior_terms(one, motion.warp, motion.terms)[1] for one in (warp, other))
+    return nats + more - less
 
 
 @lean_kernel

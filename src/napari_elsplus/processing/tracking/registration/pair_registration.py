@@ -16,10 +16,10 @@ from napari_elsplus.processing.compiled import resolved_once
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.registration import motion_models
-from napari_elsplus.processing.tracking.registration.masked_correlation import ShiftSearch
-from napari_elsplus.processing.tracking.registration.odds import weakest_direction
-from napari_elsplus.processing.tracking.registration.pyramid import LEVELS, Levels, fill_levels
+from napari_elsplus.processing.tracking.registration.odds import log_odds_between, weakest_direction
+from napari_elsplus.processing.tracking.registration.pyramid import Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, later_velocity, register
+from napari_elsplus.processing.tracking.registration.shift_search import EveryShift
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ _register, _score_rotation = resolved_once(register), resolved_once(motion_model
 _weakest_direction = resolved_once(weakest_direction)
 _TELLING_PX: Final = 0.1
 _TURNS: Final = 4
+_APART_PX: Final = 2.0
+"""Distance from which two registrations are two shifts; chosen: half that of the nearest competitor of the odds."""
 _SMALL_TURN: Final = 0.004
 """Angle, in radians, up to which one linear step is exact enough: half a pixel at the rim."""
 
@@ -203,9 +205,9 @@ class Registrar:
 
     def __init__(self, grid: Grid, lit: float = 1.0) -> None:
         self.grid = grid
-        half, coarsest_px = grid.binned(2), 2 ** (LEVELS - 1)
+        half = grid.binned(2)
         self._turning, self._column = half.spans(TURNING_FIELD), half.centre[1]
-        self._everywhere = ShiftSearch(*grid.binned(coarsest_px).spans(), coarsest_px)
+        self._everywhere = EveryShift(grid)
         self._tools = Tools.of(grid, lit)
         self._scratch = self.view()
 
@@ -248,8 +250,9 @@ class Registrar:
         """
         if turn is not None:
             return self._turned(earlier, later, motion, turn, anywhere=anywhere)
-        start = self._searched(earlier, later, motion) if anywhere else None
-        return self._refined(earlier, later, motion, start, min_correlation)
+        if anywhere:
+            return self._likeliest(earlier, later, motion, min_correlation)
+        return self._refined(earlier, later, motion, None, min_correlation)
 
     def _refined(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp | None = None,
@@ -262,13 +265,32 @@ class Registrar:
         )
         return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
 
-    def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> Warp:
-        """Return the expected warp at the most likely of all shifts."""
+    def _likeliest(
+        self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float
+    ) -> PairRegistration:
+        """Register two frames from every shift that may be the most likely one; the odds know of the others."""
+        halves, sums = self._halves(earlier, later), self._tools.sums
+        starts = self._searched(earlier, later, motion)
+        links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
+        best, found = links[0], [link for link in links if link.correlation > 0]
+        for link in found:
+            if not best.correlation > 0 or log_odds_between(halves, link.warp, best.warp, motion, sums) > 0:
+                best = link
+        return best._replace(
+            odds=min(
+                log_odds_between(halves, best.warp, link.warp, motion, sums) if link is not best else best.odds
+                for link in (best, *found)
+                if link is best or hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
+            )
+        )
+
+    def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> list[Warp]:
+        """Return the expected warp at the most likely of all shifts, and at those that may be as likely."""
         for view in (earlier, later):
             fill_levels(view.arrays, self._tools.pyramid)
             if view.coarse is None:
-                view.coarse = self._everywhere.prepare(view.levels[LEVELS - 1])
-        return motion.at(*self._everywhere.best(earlier.coarse, later.coarse, motion))
+                view.coarse = self._everywhere.of_frame(view.levels)
+        return self._everywhere.starts(earlier.coarse, later.coarse, (earlier.levels, later.levels), motion)
 
     def remainder(
         self, earlier: PreparedFrame, later: PreparedFrame, warp: Warp, spread: float,
@@ -308,7 +330,7 @@ class Registrar:
             motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix, while_read[:, 2])
             upright = self.prepare(scratch)
             if searches:
-                start = self._searched(upright, later, motion)
+                start = self._searched(upright, later, motion)[0]
             link = self._refined(upright, later, motion, start)
             searches = anywhere and not link.observed
             left = turn - expected.angle, expected.sigma

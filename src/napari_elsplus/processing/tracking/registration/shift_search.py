@@ -1,0 +1,128 @@
+"""Search of the shift between two frames among all of them, from which registration begins.
+
+At a quarter of the resolution a peak may be lower than it is, the more so the finer a periodic structure is. Where
+others are like the highest one, half resolution gives all that may be the highest.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy import ndimage
+
+from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
+from napari_elsplus.processing.tracking.registration.masked_correlation import MAX_CORRELATION, MaskedCorrelation
+from napari_elsplus.processing.tracking.registration.pyramid import LEVELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+    from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+    from napari_elsplus.processing.tracking.registration.masked_correlation import CoarseImage
+
+    Images = tuple[NDArray[np.float32], ...]
+
+_NATS_PER_PX: Final = 0.05 / 16
+"""Weight of a pixel of full resolution: its part of an independent value, over two."""
+MAX_PEAKS: Final = 64
+"""Largest number of like peaks that are registered: those of a grid of 25 um; chosen, it bounds the cost."""
+LIKE: Final = 0.3
+"""Part of the highest peak, nats, from which another one may be as high at full resolution; chosen: without periodic
+structure others have a tenth."""
+LIKE_AT_HALF: Final = 0.6
+"""The same at half resolution."""
+
+
+class EveryShift:
+    """Finds where registration of two frames is to begin.
+
+    Parameters
+    ----------
+    grid : Grid
+        Of the frames.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._quarter = self._at(LEVELS - 1)
+        self._half: ShiftSearch | None = None
+
+    def of_frame(self, levels: Images) -> CoarseImage:
+        """Return what the search needs of a frame's `levels`, half and quarter high-passed."""
+        return self._quarter.prepare(levels[LEVELS - 1])
+
+    def starts(
+        self, earlier: CoarseImage, later: CoarseImage, levels: tuple[Images, Images], motion: MotionPrior
+    ) -> list[Warp]:
+        """Return the expected warp at the most likely shift; then at others that may be as likely, few or none.
+
+        Parameters
+        ----------
+        earlier, later : CoarseImage
+            Both frames, from :meth:`of_frame`.
+        levels : tuple
+            The levels of both.
+        motion : MotionPrior
+            Prior of the motion between them.
+        """
+        shifts = self._quarter.peaks(earlier, later, motion, LIKE)
+        if len(shifts) > 1:
+            self._half = half = self._half or self._at(1)
+            shifts += half.peaks(half.prepare(levels[0][1]), half.prepare(levels[1][1]), motion, LIKE_AT_HALF)
+        return [motion.at(*shift) for shift in shifts]
+
+    def _at(self, level: int) -> ShiftSearch:
+        return ShiftSearch(*self._grid.binned(2**level).spans(), 2**level)
+
+
+class ShiftSearch(MaskedCorrelation):
+    """Finds the most likely shift between two discs by their correlation and the motion prior.
+
+    Parameters
+    ----------
+    first, last : numpy.ndarray
+        (n,) int32: lit columns of each row of the coarse images.
+    scale : float
+        Pixels of full resolution per coarse one.
+    """
+
+    def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
+        super().__init__(lit_pixels(first, last).astype(np.float32))
+        self._shifts = (self.lags * scale).astype(np.float32)
+        self._nats_per_cell = _NATS_PER_PX * scale**2
+
+    def peaks(
+        self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior, share: float
+    ) -> list[tuple[float, float]]:
+        """Return the most likely shift (b, d), and those whose peaks are like it, in pixels of full resolution.
+
+        Parameters
+        ----------
+        earlier, later : CoarseImage
+            Both frames, prepared.
+        motion : MotionPrior
+            Prior of the motion between them.
+        share : float
+            Part of the highest peak, nats, from which another one is like it.
+        """
+        alike = self.coefficients(earlier.as_template, later)
+        prior = motion.log_density(self._shifts[:, None], self._shifts)
+        highest = alike.copy()
+        for axis in (0, 1):  # between the shifts that were searched, by parabolas
+            before, after = np.roll(alike, 1, axis), np.roll(alike, -1, axis)
+            bend = np.maximum(2 * alike - before - after, np.float32(1e-6))
+            peak = (alike >= before) & (alike >= after)
+            highest += np.where(peak, (after - before) ** 2 / (8 * bend), 0)
+        score, between = (
+            prior - self._nats_per_cell * self.overlap * np.log(1 - np.clip(r, 0.0, MAX_CORRELATION) ** 2)
+            for r in (alike, highest)
+        )
+        best = np.argmax(score)
+        maxima = score == ndimage.maximum_filter(score, 3, mode="wrap")
+        like = np.flatnonzero(maxima & (between > share * between.flat[best]))
+        like = like[np.argsort(-between.flat[like])][:MAX_PEAKS]
+        rows, cols = np.unravel_index(np.append(best, like[like != best]), score.shape)
+        return [(float(self._shifts[row]), float(self._shifts[col])) for row, col in zip(rows, cols, strict=True)]
