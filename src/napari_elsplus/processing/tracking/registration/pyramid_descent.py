@@ -143,15 +143,15 @@ def register(
         pyramid.high_pass(earlier, tools.pyramid)
         pyramid.high_pass(later, tools.pyramid)
         correlation, count, warp = descend(earlier, later, _UNSHARP, False, expected, terms, warp, information, tools)
-        # smooth tissue loses by that most of its texture: what the frames tell as they are counts where it is more
-        whole, less = tools.work.schur, odds.weakest_direction(information)[0]
-        alike, _, other = descend(earlier, later, _SHARP, True, expected, terms, warp, whole, tools)
-        if alike > 0 and odds.weakest_direction(whole)[0] < less:
-            warp = other
-            for i in range(lucas_kanade.PARAMETERS):
-                for k in range(lucas_kanade.PARAMETERS):
-                    information[i, k] = whole[i, k]
         if correlation > min_correlation:
+            # smooth tissue loses by that most of its texture: what the frames tell as they are counts where it is more
+            whole, less = tools.work.schur, odds.weakest_direction(information)[0]
+            alike, _, other = descend(earlier, later, _SHARP, True, expected, terms, warp, whole, tools)
+            if alike > 0 and odds.weakest_direction(whole)[0] < less:
+                warp = other
+                for i in range(lucas_kanade.PARAMETERS):
+                    for k in range(lucas_kanade.PARAMETERS):
+                        information[i, k] = whole[i, k]
             pair = pair_of(1, earlier, later, tools)
             nats = odds.log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
             nats = min(nats, _odds_against_unrelated(correlation, count))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import ndimage
 
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 from napari_elsplus.processing.tracking.registration.masked_correlation import MAX_CORRELATION, MaskedCorrelation
@@ -32,6 +31,9 @@ MAX_PEAKS: Final = 64
 LIKE: Final = 0.3
 """Part of the highest peak, nats, from which another one may be as high at full resolution; chosen: without periodic
 structure others have a tenth."""
+_HIDDEN: Final = 0.1
+"""Part of a peak's nats that the nearest of the shifts searched has at least; derived: half a step of 4 px beside it in
+both directions, a sine of 13 px has a third of its correlation."""
 LIKE_AT_HALF: Final = 0.6
 """The same at half resolution."""
 
@@ -109,20 +111,33 @@ class ShiftSearch(MaskedCorrelation):
             Part of the highest peak, nats, from which another one is like it.
         """
         alike = self.coefficients(earlier.as_template, later)
-        prior = motion.log_density(self._shifts[:, None], self._shifts)
-        highest = alike.copy()
-        for axis in (0, 1):  # between the shifts that were searched, by parabolas
-            before, after = np.roll(alike, 1, axis), np.roll(alike, -1, axis)
-            bend = np.maximum(2 * alike - before - after, np.float32(1e-6))
-            peak = (alike >= before) & (alike >= after)
-            highest += np.where(peak, (after - before) ** 2 / (8 * bend), 0)
-        score, between = (
-            prior - self._nats_per_cell * self.overlap * np.log(1 - np.clip(r, 0.0, MAX_CORRELATION) ** 2)
-            for r in (alike, highest)
+        score = motion.log_density(self._shifts[:, None], self._shifts) + self._nats(alike, self.overlap)
+        best = int(np.argmax(score))
+        if not (highest := float(score.flat[best])) > 0:
+            return [self._shift(best)]
+        cells = np.append(best, np.flatnonzero(score > _HIDDEN * share * highest))
+        rows, cols = np.unravel_index(cells, score.shape)
+        size = len(score)
+        around = [((rows + i) % size, (cols + k) % size) for i in (-1, 0, 1) for k in (-1, 0, 1)]
+        peak = score[rows, cols] >= np.max([score[cell] for cell in around], axis=0)
+        between = alike[rows, cols]
+        for before, after in ((1, 7), (3, 5)):  # between the shifts that were searched, by parabolas
+            left, right, middle = alike[around[before]], alike[around[after]], alike[rows, cols]
+            bend = np.maximum(2 * middle - left - right, np.float32(1e-6))
+            between += np.where((middle >= left) & (middle >= right), (right - left) ** 2 / (8 * bend), 0)
+        nats = (
+            score[rows, cols]
+            + self._nats(between, self.overlap[rows, cols])
+            - self._nats(alike[rows, cols], self.overlap[rows, cols])
         )
-        best = np.argmax(score)
-        maxima = score == ndimage.maximum_filter(score, 3, mode="wrap")
-        like = np.flatnonzero(maxima & (between > share * between.flat[best]))
-        like = like[np.argsort(-between.flat[like])][:MAX_PEAKS]
-        rows, cols = np.unravel_index(np.append(best, like[like != best]), score.shape)
-        return [(float(self._shifts[row]), float(self._shifts[col])) for row, col in zip(rows, cols, strict=True)]
+        like = np.flatnonzero(peak & (nats > share * nats[0]) & (cells != best))
+        like = like[np.argsort(-nats[like])][:MAX_PEAKS]
+        return [self._shift(cell) for cell in (best, *cells[like].tolist())]
+
+    def _nats(self, alike: NDArray[np.float32], overlap: NDArray[np.float32]) -> NDArray[np.float32]:
+        nats: NDArray[np.float32] = -self._nats_per_cell * overlap * np.log(1 - np.clip(alike, 0, MAX_CORRELATION) ** 2)
+        return nats
+
+    def _shift(self, cell: int) -> tuple[float, float]:
+        row, col = divmod(cell, len(self._shifts))
+        return float(self._shifts[row]), float(self._shifts[col])
