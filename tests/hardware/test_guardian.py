@@ -175,6 +175,7 @@ def test_a_guardian_that_is_told_to_end_by_others_than_its_process_stays() -> No
             os.kill(guardian.pid, getattr(signal, name))
         guardian.hand_over()
         seconds_until(lambda: card.last_volts == -0.7)
+        seconds_until(lambda: not guardian.on_guard)
         guardian.dismiss()
 
 
