@@ -63,7 +63,6 @@ PURE = (
 PATIENT = (
     "tests/acquisition/calibrating",
     "tests/cli/rig/test_calibrate.py",
-    "tests/examples/test_examples.py",
     "tests/test_reader.py",
     "tests/test_readme.py",
     "tests/test_sample_data.py",
