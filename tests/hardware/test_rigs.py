@@ -19,6 +19,7 @@ from napari_elsplus.hardware.scan.waveform import els_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres
 
 SMALL = Region(262, 0, 524, 1328)
@@ -211,3 +212,11 @@ def test_a_card_in_its_own_process_shows_the_bench_what_it_does() -> None:
         _ = rig.bench.card.last_volts
     with pytest.raises(InputError, match="real time"):
         open_rig(simulation=Simulation(own_process=True, real_time=False))
+
+
+@pytest.mark.parametrize(("imperfections", "skips"), [("", False), ("bleaching=20", True)])
+def test_only_imperfect_simulated_rigs_skip_frames_when_they_are_late(imperfections: str, skips: bool) -> None:
+    """Before: the ideal one lost frames at the start of a scan on a busy computer."""
+    drawn = Imperfections.parse(imperfections) if imperfections else IDEAL
+    with open_rig(simulation=Simulation(scene=empty(), real_time=False, imperfections=drawn)) as rig:
+        assert (rig.bench.plug.camera._moved_s is not None) == skips

@@ -22,6 +22,7 @@ from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.hardware.virtual.timeline import BenchClock
 from napari_elsplus.instrument.optics import PRESETS
+from napari_elsplus.simulation.model.imperfections import IDEAL
 from napari_elsplus.simulation.truth import park_volts
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     opened: list[DaqScanner] = []
     held.callback(lambda: when_parked(opened[0], release) if opened else release())  # the card is needed until then
     optics = OpticalBench(simulation, card, clock)
-    plug = Plug(VirtualCamera(optics, serial=SERIAL, moved_s=optics.moved_s))
+    moved_s = None if simulation.imperfections == IDEAL else optics.moved_s  # an ideal rig loses no frame
+    plug = Plug(VirtualCamera(optics, serial=SERIAL, moved_s=moved_s))
     limits = simulation.stated_limits
     settings = CardSettings(parking_voltage(optics), address=address)
     device = choose_camera(SERIAL, VirtualBus(plug))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
-from math import ceil, inf
+from math import ceil
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 import numpy as np
@@ -126,7 +126,7 @@ class VirtualCamera:
         serial: str = "1",
         line_rate_hz: float | None = None,
         make: type[Make] = Flea3Registers,
-        moved_s: Callable[[], float] = lambda: -inf,
+        moved_s: Callable[[], float] | None = None,
     ) -> None:
         self.bench, self.faults, self._lock = bench, CameraFaults(), threading.RLock()
         self._moved_s = moved_s
@@ -281,7 +281,7 @@ class VirtualCamera:
         late = int((clock.now_s() - shot.read_out_s) / train.period_s)
         kept = BYTES_KEPT // (shot.region[2] * shot.region[3])
         if clock.real_time and late >= LATE_FRAMES:
-            outdated_s = max(self._moved_s() - shot.read_out_s, 0.0)
+            outdated_s = 0.0 if self._moved_s is None else max(self._moved_s() - shot.read_out_s, 0.0)
             self._frame += max(late - kept, min(late, ceil(outdated_s / train.period_s)), 0)
         if self.faults.drop_frames:
             self._frame += self.faults.drop_frames
