@@ -111,7 +111,8 @@ class ShiftSearch(MaskedCorrelation):
             Part of the highest peak, nats, from which another one is like it.
         """
         alike = self.coefficients(earlier.as_template, later)
-        score = motion.log_density(self._shifts[:, None], self._shifts) + self._nats(alike, self.overlap)
+        prior = motion.log_density(self._shifts[:, None], self._shifts)
+        score = prior + self._nats(alike, self.overlap)
         best = int(np.argmax(score))
         if not (highest := float(score.flat[best])) > 0:
             return [self._shift(best)]
@@ -120,16 +121,13 @@ class ShiftSearch(MaskedCorrelation):
         size = len(score)
         around = [((rows + i) % size, (cols + k) % size) for i in (-1, 0, 1) for k in (-1, 0, 1)]
         peak = score[rows, cols] >= np.max([score[cell] for cell in around], axis=0)
-        between = alike[rows, cols]
+        middle = alike[rows, cols]
+        between = middle.copy()
         for before, after in ((1, 7), (3, 5)):  # between the shifts that were searched, by parabolas
-            left, right, middle = alike[around[before]], alike[around[after]], alike[rows, cols]
+            left, right = alike[around[before]], alike[around[after]]
             bend = np.maximum(2 * middle - left - right, np.float32(1e-6))
             between += np.where((middle >= left) & (middle >= right), (right - left) ** 2 / (8 * bend), 0)
-        nats = (
-            score[rows, cols]
-            + self._nats(between, self.overlap[rows, cols])
-            - self._nats(alike[rows, cols], self.overlap[rows, cols])
-        )
+        nats = prior[rows, cols] + self._nats(between, self.overlap[rows, cols])
         like = np.flatnonzero(peak & (nats > share * nats[0]) & (cells != best))
         like = like[np.argsort(-nats[like])][:MAX_PEAKS]
         return [self._shift(cell) for cell in (best, *cells[like].tolist())]
