@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from napari_elsplus.workflows.batch.job import BatchJob, find_items
+from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, find_recordings
 from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.batch.tasks import finish_spans, run_span, run_stage
 
@@ -22,11 +22,12 @@ def plain_job(output: Path) -> BatchJob:
 def execute(source: Path, output: Path, first: int, step: int) -> None:
     """Execute all stages of every `step`-th recording, from the one with index `first`, one after the other."""
     job = plain_job(output)
-    for item in find_items(source)[first::step]:
+    items = [BatchItem(name, str(path), job) for name, path in find_recordings(source).items()]
+    for item in items[first::step]:
         for stage in job.stages:
-            found = run_stage(stage, item, job)
+            found = run_stage(stage, item)
             if SPANS in found:
-                finish_spans(item, job, [run_span(span, item, job) for span in found[SPANS]])
+                finish_spans(item, [run_span(span, item) for span in found[SPANS]])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, find_items, open_output
+from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, find_recordings, open_output
 
 
 def touched(*paths: Path) -> list[Path]:
@@ -31,16 +31,14 @@ def test_a_folder_gives_its_recordings_and_nothing_else(tmp_path: Path) -> None:
     touched(tmp_path / "b.ome.tif", tmp_path / "a.tif", tmp_path / "sub" / "c.tif", tmp_path / ".hidden.tif")
     (tmp_path / "a.calibration.json").write_text("{}")
     (tmp_path / "notes.txt").write_text("")
-    assert [item.name for item in find_items(tmp_path)] == ["a", "b"]
+    assert list(find_recordings(tmp_path)) == ["a", "b"]
 
 
 def test_a_list_is_relative_to_itself_and_names_alike_get_their_folders(tmp_path: Path) -> None:
     files = touched(*(tmp_path / name for name in ("monday/scan.tif", "tuesday/scan.tif", "other.tif")))
     names = tmp_path / "list.txt"
     names.write_text(f"# a comment\nmonday/scan.tif\n\n{files[1]}\nother.tif\n", encoding="utf-8")
-    items = find_items(names)
-    assert [item.name for item in items] == ["monday-scan", "tuesday-scan", "other"]
-    assert [Path(item.recording) for item in items] == files
+    assert find_recordings(names) == dict(zip(("monday-scan", "tuesday-scan", "other"), files, strict=True))
 
 
 def test_a_folder_with_recordings_in_subfolders_alone_names_them_in_the_error(tmp_path: Path) -> None:
@@ -48,11 +46,11 @@ def test_a_folder_with_recordings_in_subfolders_alone_names_them_in_the_error(tm
     with pytest.raises(
         InputError, match="day names no recordings, and subfolders are not searched: give a list"
     ) as raised:
-        find_items(tmp_path / "day")
+        find_recordings(tmp_path / "day")
     assert "monday" in str(raised.value)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty names no recordings: give a folder"):
-        find_items(tmp_path / "empty")
+        find_recordings(tmp_path / "empty")
 
 
 @pytest.mark.parametrize(
@@ -62,58 +60,58 @@ def test_a_folder_with_recordings_in_subfolders_alone_names_them_in_the_error(tm
 def test_lists_that_cannot_be_used_are_refused(tmp_path: Path, content: str, problem: str) -> None:
     (tmp_path / "list.txt").write_text(content)
     with pytest.raises(InputError, match=problem):
-        find_items(tmp_path / "list.txt")
+        find_recordings(tmp_path / "list.txt")
 
 
 def test_sources_that_are_neither_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no folder or list"):
-        find_items(tmp_path / "absent")
+        find_recordings(tmp_path / "absent")
     (scan,) = touched(tmp_path / "scan.tif")
     with pytest.raises(InputError, match="is one recording"):
-        find_items(scan)
+        find_recordings(scan)
     np.arange(300, dtype=np.uint8).tofile(tmp_path / "binary")
     with pytest.raises(InputError, match="no text"):
-        find_items(tmp_path / "binary")
+        find_recordings(tmp_path / "binary")
 
 
 def test_a_stage_is_recalled_only_for_the_same_file(tmp_path: Path) -> None:
     (scan,) = touched(tmp_path / "scan.tif")
-    made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
-    open_output(made)
-    (images,) = touched(*(item.folder(made) / name for name in made.files("section")))
-    assert item.recall(made, "section") is None
-    item.remember(made, "section", {"images": 3}, item.fingerprint(made))
-    assert item.recall(made, "section") == {"images": 3}
-    assert item.recall(made, "mosaic") is None
+    item = BatchItem("scan", str(scan), job(tmp_path / "out"))
+    open_output(item.job)
+    (images,) = touched(*item.files("section"))
+    assert item.recall("section") is None
+    item.remember("section", {"images": 3}, item.fingerprint())
+    assert item.recall("section") == {"images": 3}
+    assert item.recall("mosaic") is None
     images.unlink()
-    assert item.recall(made, "section") is None
+    assert item.recall("section") is None
     touched(images)
-    before = item.fingerprint(made)
+    before = item.fingerprint()
     scan.write_bytes(b"another recording")
-    assert item.recall(made, "section") is None
+    assert item.recall("section") is None
     with pytest.raises(InputError, match="changed meanwhile"):
-        item.remember(made, "section", {"images": 3}, before)
+        item.remember("section", {"images": 3}, before)
 
 
 def test_a_stage_is_recalled_only_for_the_same_frames_of_a_folder(tmp_path: Path) -> None:
     folder = tmp_path / "frames"
     folder.mkdir()
     frames = touched(*(folder / f"{k}.tif" for k in range(3)))
-    made, item = job(tmp_path / "out"), BatchItem("frames", str(folder))
-    open_output(made)
-    touched(*(item.folder(made) / name for name in made.files("section")))
-    item.remember(made, "section", {}, item.fingerprint(made))
-    assert item.recall(made, "section") == {}
+    item = BatchItem("frames", str(folder), job(tmp_path / "out"))
+    open_output(item.job)
+    touched(*item.files("section"))
+    item.remember("section", {}, item.fingerprint())
+    assert item.recall("section") == {}
     with frames[1].open("r+b") as frame:  # in place: the folder's own time stays
         frame.write(b"another frame")
-    assert item.recall(made, "section") is None
+    assert item.recall("section") is None
 
 
 def test_a_stage_is_recalled_only_for_the_same_calibration(tmp_path: Path) -> None:
     (scan,) = touched(tmp_path / "scan.tif")
-    made, item = job(tmp_path / "out"), BatchItem("scan", str(scan))
-    open_output(made)
-    touched(*(item.folder(made) / name for name in made.files("section")))
+    item = BatchItem("scan", str(scan), job(tmp_path / "out"))
+    open_output(item.job)
+    touched(*item.files("section"))
     beside, folders = tmp_path / "scan.calibration.json", tmp_path / "calibration.json"
     changes = (
         lambda: folders.write_text(of_scale(1.0)),
@@ -123,10 +121,10 @@ def test_a_stage_is_recalled_only_for_the_same_calibration(tmp_path: Path) -> No
         lambda: np.savez(beside.with_suffix(".npz"), flat=np.full((3, 3), 2.0)),
     )
     for change in changes:
-        item.remember(made, "section", {}, item.fingerprint(made))
-        assert item.recall(made, "section") == {}
+        item.remember("section", {}, item.fingerprint())
+        assert item.recall("section") == {}
         change()
-        assert item.recall(made, "section") is None
+        assert item.recall("section") is None
 
 
 def test_an_output_folder_is_resumed_by_the_same_job_only(tmp_path: Path) -> None:

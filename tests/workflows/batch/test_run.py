@@ -67,12 +67,12 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
     killed_at = ["c mosaic"]
 
     def counted(stage: str, made: Callable[..., Any]) -> Callable[..., Any]:
-        def execute(item: Any, job: Any, recording: Any) -> Any:
+        def execute(item: Any, recording: Any) -> Any:
             if f"{item.name} {stage}" in killed_at:
                 killed_at.clear()
                 raise KeyboardInterrupt
             executed.append(f"{item.name} {stage}")
-            return made(item, job, recording)
+            return made(item, recording)
 
         return execute
 
@@ -95,19 +95,17 @@ def test_a_stage_leaves_what_another_worker_is_writing(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, own: str
 ) -> None:
     monkeypatch.setattr(stages, "STAGES", {stage: lambda *_: {}})
-    job, item = (
-        BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None),
-        BatchItem("a", str(recordings / "a.tif")),
-    )
+    job = BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None)
+    item = BatchItem("a", str(recordings / "a.tif"), job)
     open_output(job)
     out = tmp_path / "out"
     (out / "a").mkdir()
     for other in ("section", "mosaic"):
-        item.record(job, other).with_name(f".deadbeef.{item.record(job, other).name}").touch()
+        item.record(other).with_name(f".deadbeef.{item.record(other).name}").touch()
     writing = {name: out / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
     for file in writing.values():
         file.touch()
-    tasks.run_stage(stage, item, job)
+    tasks.run_stage(stage, item)
     assert not writing[own].exists()
     kept = {"els.ome.tif"} if stage == "mosaic" else {"mosaic.ome.tif", "track.csv"}
     assert {name for name, file in writing.items() if file.exists()} == kept
@@ -165,7 +163,7 @@ def test_a_stage_computes_on_one_thread(recordings: Path, tmp_path: Path, monkey
     monkeypatch.setattr(stages, "STAGES", {"section": lambda *_: {"threads": threads.append(cv2.getNumThreads())}})
     job = BatchJob(str(tmp_path / "out"), "els", mosaic=False, calibration=None)
     open_output(job)
-    tasks.run_stage("section", BatchItem("a", str(recordings / "a.tif")), job)
+    tasks.run_stage("section", BatchItem("a", str(recordings / "a.tif"), job))
     assert threads == [1]
     assert cv2.getNumThreads() == before
 
@@ -175,7 +173,7 @@ def test_a_stage_starts_no_thread(recordings: Path, tmp_path: Path, monkeypatch:
     job = BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None)
     open_output(job)
     for stage in job.stages:
-        assert ERROR not in tasks.run_stage(stage, BatchItem("a", str(recordings / "a.tif")), job)
+        assert ERROR not in tasks.run_stage(stage, BatchItem("a", str(recordings / "a.tif"), job))
 
 
 def test_local_workers_have_one_thread_keep_their_memory_and_have_a_dashboard() -> None:

@@ -29,8 +29,8 @@ def filled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     seen: list[tuple[str, int]] = []
     fill = stages.fill_span
 
-    def counted(span: range, item: Any, job: Any, recording: Any) -> Any:
-        found = fill(span, item, job, recording)
+    def counted(span: range, item: Any, recording: Any) -> Any:
+        found = fill(span, item, recording)
         seen.append((item.name, span.start))
         return found
 
@@ -145,10 +145,10 @@ def test_a_span_that_fails_fails_its_recording_only(
 ) -> None:
     fill = stages.fill_span
 
-    def failing(span: range, item: Any, *others: Any) -> Any:
+    def failing(span: range, item: Any, recording: Any) -> Any:
         if (item.name, span.start) == ("a", 2):
             raise InputError("frame 3 cannot be read", "copy it again")
-        return fill(span, item, *others)
+        return fill(span, item, recording)
 
     with monkeypatch.context() as patch:
         patch.setattr(stages, "fill_span", failing)

@@ -17,7 +17,6 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
 from napari_elsplus.io.text import read_lines, write_json
-from napari_elsplus.processing.images.modes import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +25,6 @@ RECORDS: Final = ".batch"
 """Folder of a batch's records, in its output folder."""
 FORMATS: Final = {"ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr"}
 """Suffix of the files of images and mosaics by the name of their format."""
-TRACK_NAME: Final = "track.csv"
 MAX_LIST_BYTES: Final = 16 << 20
 """Chosen: a list of a hundred thousand paths has some 10 MB; a larger file is another one, named by mistake."""
 Values = dict[str, Any]
@@ -61,20 +59,6 @@ class BatchJob:
         """Names of the stages of a recording."""
         return ("section", "mosaic") if self.mosaic else ("section",)
 
-    @property
-    def images_name(self) -> str:
-        """Name of the file of sectioned images."""
-        return f"{Mode(self.mode).value}{FORMATS[self.file_format]}"
-
-    @property
-    def mosaic_name(self) -> str:
-        """Name of the file of the mosaic."""
-        return f"mosaic{FORMATS[self.file_format]}"
-
-    def files(self, stage: str) -> tuple[str, ...]:
-        """Return the names of the files that a stage writes."""
-        return (self.images_name,) if stage == "section" else (self.mosaic_name, TRACK_NAME)
-
     def describe(self) -> str:
         """Return the job in words, for a message."""
         made = f"{self.mode} images" + (" and mosaics" if self.mosaic else "") + f" as {self.file_format}"
@@ -91,32 +75,62 @@ class BatchItem:
         Name of its folder of results.
     recording : str
         Path of the recording.
+    job : BatchJob
+        What is made of it.
     """
 
     name: str
     recording: str
+    job: BatchJob
 
-    def folder(self, job: BatchJob) -> Path:
-        """Return the folder of the recording's results of a job."""
-        return Path(job.output, self.name)
+    @property
+    def folder(self) -> Path:
+        """Folder of the recording's results."""
+        return Path(self.job.output, self.name)
 
-    def recall(self, job: BatchJob, stage: str) -> Values | None:
-        """Return what a stage of a job has found, if an earlier run made its files of the same ones; else None."""
+    @property
+    def images(self) -> Path:
+        """File of the sectioned images."""
+        return self.folder / f"{self.job.mode}{FORMATS[self.job.file_format]}"
+
+    @property
+    def mosaic(self) -> Path:
+        """File of the mosaic."""
+        return self.folder / f"mosaic{FORMATS[self.job.file_format]}"
+
+    @property
+    def track(self) -> Path:
+        """File of the track."""
+        return self.folder / "track.csv"
+
+    @property
+    def tile(self) -> Path:
+        """The recording's picture for the contact sheet."""
+        return Path(self.job.output, RECORDS, f"{self.name}.png")
+
+    def files(self, stage: str) -> tuple[Path, ...]:
+        """Return the files that a stage writes."""
+        return (self.images,) if stage == "section" else (self.mosaic, self.track)
+
+    def record(self, stage: str) -> Path:
+        """Return the path of the record that a stage is finished."""
+        return Path(self.job.output, RECORDS, f"{self.name}.{stage}.json")
+
+    def recall(self, stage: str) -> Values | None:
+        """Return what a stage has found, if an earlier run made its files of the same ones; else None."""
         try:
-            record = json.loads(self.record(job, stage).read_text(encoding="utf-8"))
+            record = json.loads(self.record(stage).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         values: Values = record["values"]
-        complete = all((self.folder(job) / name).exists() for name in job.files(stage))
-        return values if complete and record.get("input") == self.fingerprint(job) else None
+        complete = all(file.exists() for file in self.files(stage))
+        return values if complete and record.get("input") == self.fingerprint() else None
 
-    def remember(self, job: BatchJob, stage: str, values: Values, fingerprint: Values) -> None:
-        """Write that a stage of a job is finished.
+    def remember(self, stage: str, values: Values, fingerprint: Values) -> None:
+        """Write that a stage is finished.
 
         Parameters
         ----------
-        job : BatchJob
-            The job.
         stage : str
             The stage.
         values : dict
@@ -129,30 +143,22 @@ class BatchItem:
         InputError
             If the recording or its calibration is no longer that of the fingerprint.
         """
-        if self.fingerprint(job) != fingerprint:
+        if self.fingerprint() != fingerprint:
             raise InputError(f"{self.name} or its calibration was changed meanwhile", "run the batch again")
-        write_json(self.record(job, stage), {"input": fingerprint, "values": values}, force=True)
+        write_json(self.record(stage), {"input": fingerprint, "values": values}, force=True)
 
-    def record(self, job: BatchJob, stage: str) -> Path:
-        """Return the path of the record that a stage of a job is finished."""
-        return Path(job.output, RECORDS, f"{self.name}.{stage}.json")
-
-    def tile(self, job: BatchJob) -> Path:
-        """Return the path of the recording's picture for the contact sheet of a job."""
-        return Path(job.output, RECORDS, f"{self.name}.png")
-
-    def fingerprint(self, job: BatchJob) -> Values:
-        """Return number, bytes and newest time (ns) of the files, and a digest of the calibration of a `job`."""
+    def fingerprint(self) -> Values:
+        """Return number, bytes and newest time (ns) of the recording's files, and a digest of its calibration."""
         recording = Path(self.recording)
         # where it is a folder, those in it too: they may be written in place
         files = [path.stat() for path in (recording, *recording.rglob("*"))]
         size, newest_ns = sum(file.st_size for file in files), max(file.st_mtime_ns for file in files)
-        calibration = calibration_beside(self.recording) if job.calibration is None else job.calibration
+        calibration = self.job.calibration or calibration_beside(self.recording)
         return {"recording": [len(files), size, newest_ns], "calibration": _digest(calibration)}
 
 
-def find_items(source: Path) -> list[BatchItem]:
-    """Return the recordings of a folder, or of a text file that lists one path per line.
+def find_recordings(source: Path) -> dict[str, Path]:
+    """Return the recordings of a folder, or of a text file that lists one path per line, by the names of their results.
 
     Parameters
     ----------
@@ -174,8 +180,7 @@ def find_items(source: Path) -> list[BatchItem]:
                 f"give a list of the recordings, or one of the folders in it: {', '.join(inside):.80}",
             )
         raise InputError(f"{source} names no recordings", f"give a folder or a list of: {supported_recordings()}")
-    names = _names(recordings)
-    return [BatchItem(name, str(path)) for name, path in zip(names, recordings, strict=True)]
+    return dict(zip(_names(recordings), recordings, strict=True))
 
 
 def open_output(job: BatchJob) -> None:

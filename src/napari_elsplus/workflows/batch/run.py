@@ -15,7 +15,7 @@ from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.workflows.batch.cluster import batch_client
-from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_items, open_output
+from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_recordings, open_output
 from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, run_stage
 from napari_elsplus.workflows.progress import Progress, without_display
@@ -115,22 +115,22 @@ def batch(
     if calibration is not None:
         read_calibration(calibration)  # refused here, once
     _require_format(file_format)
-    items = find_items(Path(source))
+    recordings = find_recordings(Path(source))
     chosen = None if calibration is None else str(Path(calibration).resolve())
     job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen, file_format)
-    items = [BatchItem(item.name, str(Path(item.recording).resolve())) for item in items]
+    items = [BatchItem(name, str(path.resolve()), job) for name, path in recordings.items()]
     with batch_client(scheduler, workers) as client:
         open_output(job)
         announce(client.dashboard_link)
         stages = _ordered(items, job, len(client.nthreads()))
         steps = progress(range(len(stages)), "Batch")
-        executed = {key: found for _, (key, found) in zip(steps, _finished_stages(client, stages, job), strict=False)}
+        executed = {key: found for _, (key, found) in zip(steps, _finished_stages(client, stages), strict=False)}
     found = {item.name: [executed[item.name, stage] for stage in job.stages] for item in items}
     rows = [_row(item, found[item.name]) for item in items]
     for item, row in zip(items, rows, strict=True):
         if row[ERROR]:
             with suppress(OSError):  # it holds something
-                item.folder(job).rmdir()
+                item.folder.rmdir()
     _write_table(Path(job.output, "table.csv"), rows)
     _write_sheet(job, [(item, found[item.name][-1]) for item, row in zip(items, rows, strict=True) if not row[ERROR]])
     return BatchResult(rows, _notes(rows))
@@ -156,9 +156,7 @@ def _ordered(items: list[BatchItem], job: BatchJob, workers: int) -> list[tuple[
     return [(stage, item) for _, stage, item in sorted(begun, key=lambda begin: begin[:2])]
 
 
-def _finished_stages(
-    client: Any, stages: list[tuple[str, BatchItem]], job: BatchJob
-) -> Iterator[tuple[tuple[str, str], Values]]:
+def _finished_stages(client: Any, stages: list[tuple[str, BatchItem]]) -> Iterator[tuple[tuple[str, str], Values]]:
     """Execute stages, and yield the recording's name and the stage with what was found, as each is finished."""
     from distributed import as_completed
 
@@ -167,15 +165,15 @@ def _finished_stages(
 
     begun: dict[Any, tuple[str, BatchItem, int]] = {}
     for place, (stage, item) in enumerate(stages):
-        begun[begin(run_stage, stage, item, job, priority=-place)] = (stage, item, -place)
+        begun[begin(run_stage, stage, item, priority=-place)] = (stage, item, -place)
     completed = as_completed(list(begun))
     for future in completed:
         stage, item, priority = begun.pop(future)
         error = future.exception()  # a defect, or a worker that was killed again and again
         found = future.result() if error is None else {ERROR: f"{type(error).__name__}: {error}"}
         if SPANS in found:
-            spans = [begin(run_span, span, item, job, priority=priority) for span in found[SPANS]]
-            last = begin(finish_spans, item, job, spans, priority=priority)
+            spans = [begin(run_span, span, item, priority=priority) for span in found[SPANS]]
+            last = begin(finish_spans, item, spans, priority=priority)
             begun[last] = (stage, item, priority)
             completed.add(last)
         else:
@@ -207,9 +205,7 @@ def _write_sheet(job: BatchJob, made: list[tuple[BatchItem, Values]]) -> None:
     from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
     from napari_elsplus.workflows.pictures.files import save_grey_figure
 
-    sheet = draw_batch_sheet(
-        [(_drawable(item.name), read_tile(item.tile(job)), values[TILE_UM]) for item, values in made]
-    )
+    sheet = draw_batch_sheet([(_drawable(item.name), read_tile(item.tile), values[TILE_UM]) for item, values in made])
     save_grey_figure(sheet, Path(job.output, "contact-sheet.png"), force=True)
 
 

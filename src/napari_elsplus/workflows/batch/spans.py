@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.io import put_in_place, replacing, write_json
 from napari_elsplus.io.atomic import remove_unfinished
-from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, BatchJob, Values
+from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, Values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,22 +49,19 @@ class SpannedImages:
     ----------
     item : BatchItem
         The recording.
-    job : BatchJob
-        What is made of it.
     """
 
     item: BatchItem
-    job: BatchJob
 
     @property
     def folder(self) -> Path:
         """Folder of the unfinished file, its plan and its records."""
-        return Path(self.job.output, RECORDS, f"{self.item.name}.spans")
+        return Path(self.item.job.output, RECORDS, f"{self.item.name}.spans")
 
     @property
     def file(self) -> Path:
         """The unfinished file."""
-        return self.folder / self.job.images_name
+        return self.folder / self.item.images.name
 
     def open(self, images: SectionedImages, spans: Sequence[range], values: Values) -> list[range]:
         """Create the unfinished file, or resume that of an earlier run by the same plan; return the spans it lacks.
@@ -79,7 +76,7 @@ class SpannedImages:
             What is known of the stage before its images are made; part of the plan.
         """
         plan = {
-            "input": self.item.fingerprint(self.job),
+            "input": self.item.fingerprint(),
             "values": values,
             SPANS: [[span.start, span.stop] for span in spans],
         }
@@ -88,7 +85,7 @@ class SpannedImages:
             remove_unfinished(self.folder)
             with replacing(self.folder) as beside:
                 beside.mkdir()
-                images.allocate(beside / self.job.images_name)
+                images.allocate(beside / self.item.images.name)
                 write_json(beside / _PLAN, plan)
         return [span for span in spans if not self._record(span.start, span.stop).exists()]
 
@@ -103,8 +100,8 @@ class SpannedImages:
         for start, stop in plan[SPANS]:
             values |= json.loads(self._record(start, stop).read_text(encoding="utf-8"))
         if self.file.exists():  # else an earlier run was killed after renaming it
-            put_in_place(self.file, self.item.folder(self.job) / self.job.images_name)
-        self.item.remember(self.job, "section", values, plan["input"])
+            put_in_place(self.file, self.item.images)
+        self.item.remember("section", values, plan["input"])
         self._remove()
         return values
 

@@ -18,7 +18,6 @@ from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.processing.images.sectioning import disc
-from napari_elsplus.workflows.batch.job import TRACK_NAME
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
 from napari_elsplus.workflows.mosaicing import mosaic
@@ -34,20 +33,20 @@ if TYPE_CHECKING:
     from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
 
 
-def _section(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
-    calibration, source = _calibration(job, recording)
-    images = SectionedImages(recording, calibration, job.mode)
+def _section(item: BatchItem, recording: Recording) -> Values:
+    calibration, source = _calibration(item.job, recording)
+    images = SectionedImages(recording, calibration, item.job.mode)
     require_agreement(recording, calibration)
     note = grey_level_note(recording, calibration)
     values = {"calibration": source, "images": len(images), "warnings": note}
     spans = split(len(images))
     if len(spans) > 1:
-        return {SPANS: SpannedImages(item, job).open(images, spans, values)}
-    images.save(item.folder(job) / job.images_name, force=True, threads=1)
-    return values | _described(images, spans[0], item, job)
+        return {SPANS: SpannedImages(item).open(images, spans, values)}
+    images.save(item.images, force=True, threads=1)
+    return values | _described(images, spans[0], item)
 
 
-def fill_span(span: range, item: BatchItem, job: BatchJob, recording: Recording) -> Values:
+def fill_span(span: range, item: BatchItem, recording: Recording) -> Values:
     """Write a span of the images of a long recording into their unfinished file; return what is found in it.
 
     Parameters
@@ -56,32 +55,29 @@ def fill_span(span: range, item: BatchItem, job: BatchJob, recording: Recording)
         Indices of the images.
     item : BatchItem
         The recording.
-    job : BatchJob
-        What is made of it.
     recording : Recording
         The same, open.
     """
-    calibration, _ = _calibration(job, recording)
-    images = SectionedImages(recording, calibration, job.mode)
-    images.fill(SpannedImages(item, job).file, span)
-    return _described(images, span, item, job)
+    calibration, _ = _calibration(item.job, recording)
+    images = SectionedImages(recording, calibration, item.job.mode)
+    images.fill(SpannedImages(item).file, span)
+    return _described(images, span, item)
 
 
-def _described(images: SectionedImages, span: range, item: BatchItem, job: BatchJob) -> Values:
+def _described(images: SectionedImages, span: range, item: BatchItem) -> Values:
     """Return the contrast of the middle image, if it is in a span, and make it the recording's picture."""
     place = len(images) // 2
     if place not in span:
         return {}
     middle = images[place]
-    tile = {} if job.mosaic else {TILE_UM: write_tile(item.tile(job), middle, images.calibration.um_per_px)}
+    tile = {} if item.job.mosaic else {TILE_UM: write_tile(item.tile, middle, images.calibration.um_per_px)}
     return {"contrast": _contrast(middle), **tile}
 
 
-def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
-    calibration, source = _calibration(job, recording)
-    result = mosaic(recording, calibration, job.mode, threads=1)
-    folder = item.folder(job)
-    result.save(folder / job.mosaic_name, folder / TRACK_NAME, force=True)
+def _mosaic(item: BatchItem, recording: Recording) -> Values:
+    calibration, source = _calibration(item.job, recording)
+    result = mosaic(recording, calibration, item.job.mode, threads=1)
+    result.save(item.mosaic, item.track, force=True)
     um = np.nan if result.um_per_px is None else result.um_per_px
     return {
         "calibration": source,
@@ -91,7 +87,7 @@ def _mosaic(item: BatchItem, job: BatchJob, recording: Recording) -> Values:
         "path_um": _path_um(result.track),
         "area_um2": float(np.count_nonzero(result.image)) * um**2,
         "warnings": "; ".join(result.notes),
-        TILE_UM: write_tile(item.tile(job), result.image, result.um_per_px),
+        TILE_UM: write_tile(item.tile, result.image, result.um_per_px),
     }
 
 

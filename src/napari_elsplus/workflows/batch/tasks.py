@@ -17,7 +17,7 @@ from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from napari_elsplus.workflows.batch.job import BatchItem, BatchJob, Values
+    from napari_elsplus.workflows.batch.job import BatchItem, Values
 
     Arguments = ParamSpec("Arguments")
 
@@ -39,7 +39,7 @@ def _returning_errors(task: Callable[Arguments, Values]) -> Callable[Arguments, 
 
 
 @_returning_errors
-def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
+def run_stage(stage: str, item: BatchItem) -> Values:
     """Return what a stage finds in a recording: from an earlier run's record, or by executing it.
 
     Parameters
@@ -48,8 +48,6 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
         ``"section"`` or ``"mosaic"``.
     item : BatchItem
         The recording.
-    job : BatchJob
-        What is made of it.
 
     Returns
     -------
@@ -57,22 +55,21 @@ def run_stage(stage: str, item: BatchItem, job: BatchJob) -> Values:
         Columns of the recording's row in the table; a message under :data:`ERROR` if it failed; of a long recording's
         images only the spans to be made, under :data:`SPANS`, after which :func:`finish_spans` finishes the stage.
     """
-    found, fingerprint = item.recall(job, stage), item.fingerprint(job)
+    found, fingerprint = item.recall(stage), item.fingerprint()
     if found is None:
         from napari_elsplus.workflows.batch.stages import STAGES, single_threaded
 
-        folder = item.folder(job)
-        folder.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(item.record(job, stage), item.tile(job), *(folder / name for name in job.files(stage)))
+        item.folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(item.record(stage), item.tile, *item.files(stage))
         with open_recording(item.recording) as recording, single_threaded():
-            found = STAGES[stage](item, job, recording)
+            found = STAGES[stage](item, recording)
         if SPANS not in found:
-            item.remember(job, stage, found, fingerprint)
+            item.remember(stage, found, fingerprint)
     return found
 
 
 @_returning_errors
-def run_span(span: range, item: BatchItem, job: BatchJob) -> Values:
+def run_span(span: range, item: BatchItem) -> Values:
     """Make a span of the images of a recording; return what it finds, or a message under :data:`ERROR`.
 
     Parameters
@@ -81,27 +78,23 @@ def run_span(span: range, item: BatchItem, job: BatchJob) -> Values:
         Indices of the images.
     item : BatchItem
         The recording.
-    job : BatchJob
-        What is made of it.
     """
     from napari_elsplus.workflows.batch.stages import fill_span, single_threaded
 
     with open_recording(item.recording) as recording, single_threaded():
-        found = fill_span(span, item, job, recording)
-    SpannedImages(item, job).remember(span, found)
+        found = fill_span(span, item, recording)
+    SpannedImages(item).remember(span, found)
     return found
 
 
 @_returning_errors
-def finish_spans(item: BatchItem, job: BatchJob, found: Sequence[Values]) -> Values:
+def finish_spans(item: BatchItem, found: Sequence[Values]) -> Values:
     """Return what the images of a recording show after all of their spans were made, and rename them into place.
 
     Parameters
     ----------
     item : BatchItem
         The recording.
-    job : BatchJob
-        What is made of it.
     found : sequence of dict
         What the tasks of the spans returned.
 
@@ -111,4 +104,4 @@ def finish_spans(item: BatchItem, job: BatchJob, found: Sequence[Values]) -> Val
         As :func:`run_stage`; a message under :data:`ERROR` if a span failed.
     """
     failed = [values for values in found if ERROR in values]
-    return failed[0] if failed else SpannedImages(item, job).finish()
+    return failed[0] if failed else SpannedImages(item).finish()
