@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import pairwise
@@ -18,7 +17,6 @@ from napari_elsplus.processing.axial.axial_response import (
     axial_response,
 )
 from napari_elsplus.processing.axial.profiles import axial_profiles
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -26,6 +24,7 @@ from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import Stack
+from napari_elsplus.workflows.axial import measure_axial_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -163,16 +162,16 @@ def measure_scan(
     InputError
         If the depths are unknown.
     CalibrationError, MeasurementError
-        As :func:`napari_elsplus.processing.axial.profiles.axial_profiles`.
+        As :func:`napari_elsplus.measure_axial_response`.
     """
     if stack.depth_um is None:
         raise InputError(
             f"the depths of {stack.file_name} are unknown", "put NAME.depths.csv beside it, one depth per frame"
         )
-    if note := grey_level_note(stack.planes, calibration):
-        warnings.warn(note, stacklevel=2)
-    profiles = axial_profiles(stack.planes, calibration, depths_um=stack.depth_um, progress=progress)
-    return Scan(stack.name, axial_response(stack.depth_um, *profiles), *slit_um(calibration))
+    response = measure_axial_response(
+        stack.planes, calibration, stack.depth_um, progress=lambda numbers, _: progress(numbers)
+    )
+    return Scan(stack.name, response, *slit_um(calibration))
 
 
 def slit_um(calibration: Calibration) -> tuple[float | None, float | None]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Frames, Mode, disc
@@ -106,11 +106,11 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
     Raises
     ------
     CalibrationError
-        If the calibration does not fit the frames, or has no flat field where the filter needs one.
+        If the calibration does not fit the frames or is of another rig, or has no flat field where the filter needs one.
     """
     bundle = calibration.measured_bundle
     raw = stack.planes
-    if note := grey_level_note(raw, calibration):
+    if note := agreement_note(raw, calibration):
         warnings.warn(note, stacklevel=2)
     images = {
         mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)

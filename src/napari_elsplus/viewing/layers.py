@@ -14,7 +14,7 @@ from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import open_recording
 from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.processing.analysis.image_quality import white_level
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
@@ -89,7 +89,7 @@ def open_layers(path: str | os.PathLike[str], active: Path | None = None) -> Ope
     try:
         calibration, source = recording.find_calibration(active)
         layers = [] if calibration is None else image_layers(stack, calibration, source)
-        if calibration is not None and (note := grey_level_note([stack.planes[0]], calibration)):
+        if calibration is not None and (note := agreement_note([stack.planes[0]], calibration)):
             notes.append(note)
         if source is not None and source == active and source != calibration_beside(recording.path):
             notes.append(f"{stack.file_name} is displayed with the active calibration, {source.name}")

@@ -10,7 +10,7 @@ from napari_elsplus.instrument.arguments import require_calibration, require_fra
 from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.workflows.progress import without_display
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ def measure_axial_response(
     depths = _depths_beside(path) if depth_um is None else depth_um
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")
-    require_agreement(scan, known)
-    if note := grey_level_note(scan, known):
+    if note := agreement_note(scan, known):
         warnings.warn(note, stacklevel=2)
     profiles = axial_profiles(scan, known, depths_um=depths, progress=lambda numbers: progress(numbers, "depths"))
     return axial_response(depths, *profiles)

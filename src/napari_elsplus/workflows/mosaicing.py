@@ -12,7 +12,7 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
@@ -271,8 +271,7 @@ def _tracked(
             calibration, note = with_timing(calibration, pairs, mode)
             notes.append(note)
         rows, cols = raw[0].shape
-        require_agreement(raw, calibration)
-        notes.append(grey_level_note(raw, calibration))
+        notes.append(agreement_note(raw, calibration))
         pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
         skip, add = (pipeline.skip, pipeline.track) if ahead is None else (ahead.skip, ahead.add)

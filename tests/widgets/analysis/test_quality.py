@@ -124,7 +124,7 @@ def test_the_boxes_lie_on_the_same_pixels_of_the_recording_that_is_chosen(viewer
     boxes = viewer.layers["quality elements"]
     boxes.add_rectangles(np.array([[10, 10], [30, 30]]))
     path = write_pair(tmp_path, name="coarse")
-    bundle = {**CONTENT["bundle"], "confocal_centre": [31.0, 33.0]}
+    bundle = {**CONTENT["bundle"], "confocal_centre": [31.0, 32.0]}
     coarse = {**CONTENT, "bundle": bundle, "optics": {**CONTENT["optics"], "um_per_px": 4.0}}
     write_calibration(tmp_path / "coarse.calibration.json", Calibration.parse(coarse), force=True)
     viewer.open(str(path), plugin=PLUGIN)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import TrackTable
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
@@ -152,7 +152,7 @@ class StackMosaics:
 
     def _run(self, progress: ProgressWrapper) -> None:
         if self._field is None:
-            notes = (frame_rate_note(self.calibration, self._times_s), grey_level_note(self._frames, self.calibration))
+            notes = (frame_rate_note(self.calibration, self._times_s), agreement_note(self._frames, self.calibration))
             self.notes += filter(None, notes)
         if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
             self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)

@@ -16,7 +16,7 @@ from napari_elsplus.instrument.calibration import ARRAYS
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import disc
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile
@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 def _section(item: BatchItem, recording: Recording) -> Values:
     calibration, source = _calibration(item.job, recording)
     images = SectionedImages(recording, calibration, item.job.mode)
-    require_agreement(recording, calibration)
-    note = grey_level_note(recording, calibration)
+    note = agreement_note(recording, calibration)
     values = {"calibration": source, "images": len(images), "warnings": note}
     spans = split(len(images))
     if len(spans) > 1:

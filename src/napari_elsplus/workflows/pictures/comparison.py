@@ -16,7 +16,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, Contrast, contrast, white_level
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
-from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
@@ -137,8 +137,7 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
         )
     rows, cols = raw[frame].shape
     sectioner = Sectioner(calibration, (rows, cols))
-    require_agreement(raw, calibration)
-    if note := grey_level_note(raw, calibration):
+    if note := agreement_note(raw, calibration):
         warnings.warn(note, stacklevel=2)
     images = {
         Mode.LS: sectioner.ls(raw[frame]),

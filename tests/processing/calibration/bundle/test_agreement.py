@@ -15,8 +15,13 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
+from napari_elsplus.viewing.axial import measure_scan
 from napari_elsplus.viewing.comparison import compare_stack
 from napari_elsplus.viewing.layers import open_layers
+from napari_elsplus.viewing.lazy import LazyPlanes
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.viewing.stack import Stack
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.sectioning import section
@@ -49,6 +54,13 @@ def moved(**of_bundle: object) -> object:
     return known.model_copy(update={"bundle": known.bundle.model_copy(update=of_bundle)})
 
 
+def moved_by_30_px() -> object:
+    bundle = true_calibration(INSTRUMENT).bundle
+    assert bundle is not None
+    places = {name: getattr(bundle, name) for name in ("confocal_centre", "residual_centre")}
+    return moved(**{name: (row, col + 30.0) for name, (row, col) in places.items()})
+
+
 @pytest.mark.parametrize("view", ["confocal", "residual"])
 @pytest.mark.parametrize("by", [(0.0, 30.0), (25.0, 0.0)])
 def test_a_view_elsewhere_is_refused(view: str, by: tuple[float, float]) -> None:
@@ -56,6 +68,29 @@ def test_a_view_elsewhere_is_refused(view: str, by: tuple[float, float]) -> None
     wrong = moved(**{f"{view}_centre": (centre[0] + by[0], centre[1] + by[1])})
     with pytest.raises(CalibrationError, match=f"the frames show a {view} view of .* use the calibration"):
         section(frames("fibres"), wrong, "els")
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [
+        pytest.param(compare_stack, id="compare"),
+        pytest.param(measure_scan, id="axial"),
+        pytest.param(lambda stack, wrong: StackMosaics(stack.planes, wrong, MosaicPlan()).run(), id="mosaic"),
+    ],
+)
+def test_the_panels_refuse_a_view_elsewhere(panel: Callable[[Stack, object], object]) -> None:
+    raw = frames("fibres") * 2
+    planes = LazyPlanes(raw.__getitem__, (len(raw), *INSTRUMENT.frame_shape), np.dtype(np.uint8))
+    with pytest.raises(CalibrationError, match=r"the frames show a confocal view of .* use the calibration"):
+        panel(Stack("scan", planes, depth_um=np.arange(2.0)), moved_by_30_px())
+
+
+def test_a_recording_whose_views_lie_elsewhere_is_opened_as_raw_frames(tmp_path: Path) -> None:
+    write_stack(tmp_path / "scan.ome.tif", np.stack(frames("fibres") * 2))
+    write_calibration(tmp_path / "scan.calibration.json", moved_by_30_px())
+    opened = open_layers(tmp_path / "scan.ome.tif")
+    assert len(opened.layers) == 1
+    assert "raw frames only. the frames show a confocal view" in opened.notes[0]
 
 
 def test_another_diameter_is_refused() -> None:

@@ -102,6 +102,25 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
             )
 
 
+def agreement_note(frames: Frames, calibration: Calibration) -> str:
+    """Refuse a calibration of another rig (:func:`require_agreement`); return a message on another bit depth, else "".
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames (rows, cols) that the calibration is applied to; a few of them are averaged.
+    calibration : Calibration
+        With the bundle section.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`require_agreement` and :func:`grey_level_note`.
+    """
+    require_agreement(frames, calibration)
+    return grey_level_note(frames, calibration)
+
+
 def grey_level_note(frames: Frames, calibration: Calibration) -> str:
     """Return a message to the user where frames are of another bit depth than the background, else an empty one.
 
