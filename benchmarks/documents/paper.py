@@ -16,7 +16,7 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.workflows.pictures.comparison import TITLES, compare, draw_comparison
+from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
 from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def make(
     frames = paper.tissue(6 if quick else 60)
     single = paper.sectioned(frames, SHOWN)
     made = {"LS": paper.mosaic(frames, Mode.LS), "ELS+": paper.mosaic(frames, Mode.ELS)}
-    images = {f"{TITLES[mode]} frame": one.image for mode, one in single.items()}
+    images = {f"{mode.label} frame": one.image for mode, one in single.items()}
     images |= {f"{name} mosaic": m.image for name, m in made.items()}
     keep("tissue", draw_images(images, 3), mosaic_table(made))
     return tables
@@ -198,7 +198,7 @@ def motion_table(frames: MovingFrames) -> str:
     """Background of each image as a share of its structure, and how far it is from the focal plane."""
     found = paper.sectioned(frames, SHOWN)
     step = float(np.hypot(*np.diff(frames.true_px, axis=0).T).mean()) * frames.rig.um_per_px
-    rows = [(TITLES[mode], f"{100 * one.background:.1f} %", f"{one.unexplained:.3f}") for mode, one in found.items()]
+    rows = [(mode.label, f"{100 * one.background:.1f} %", f"{one.unexplained:.3f}") for mode, one in found.items()]
     titles = ("background over structure", "part the focal plane does not explain")
     return _table((f"probe moves {step:.0f} um a frame", *titles), *rows)
 

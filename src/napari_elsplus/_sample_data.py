@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.axial import simulated_scan
-from napari_elsplus.viewing.layers import TITLES, image_layers, raw_layer, side_by_side, titles_above
+from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side, titles_above
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.simulated import simulate_calibration, simulate_recording
@@ -38,7 +38,7 @@ def recording() -> list[tuple[Any, ...]]:
     raw[1]["visible"] = False
     *shown, elsa = image_layers(stack, frames.calibration)
     placed = side_by_side(shown)
-    return [titles_above("fibres titles", placed, [TITLES[mode] for mode in SHOWN]), raw, elsa, *placed]
+    return [titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed]
 
 
 def calibration_set() -> list[tuple[Any, ...]]:

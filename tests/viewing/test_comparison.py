@@ -10,14 +10,13 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import open_recording
-from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.analysis.image_quality import white_level, white_levels
 from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.viewing.comparison import (
     compare_stack,
     comparison_script,
     difference_planes,
-    white_levels,
 )
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.stack import Stack

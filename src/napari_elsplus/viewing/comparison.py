@@ -1,17 +1,16 @@
-"""LS, ELSA and ELS+ of the same frames: display scaling, line profiles, contrast and background as in the paper."""
+"""LS, ELSA and ELS+ of the same frames, computed when they are read: contrast, background, differences."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast, white_level
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
+from napari_elsplus.processing.images.modes import COMPARED_MODES, FRAMES_PER_IMAGE, elsa_frames
 from napari_elsplus.processing.images.sectioning import Frames, Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.script import recording_script
@@ -27,20 +26,6 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
     Image = NDArray[np.float32]
-
-MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
-"""Modes in display order, from left to right."""
-
-
-class Scaling(StrEnum):
-    """Rule for the grey level displayed as white."""
-
-    PAPER = "0.01 % saturated"
-    """LS and ELS+ each with 0.01 % of the pixels saturated, ELSA by the factor of ELS+, as in the paper."""
-    SHARED = "shared"
-    """One level for all images: that of the brightest."""
-    INDIVIDUAL = "individual"
-    """Each with 0.01 % of its pixels saturated."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +91,7 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
     Raises
     ------
     CalibrationError
-        If the calibration does not fit the frames or is of another rig, or has no flat field where the filter needs one.
+        If the calibration does not fit the frames, or has no flat field where the filter needs one.
     """
     bundle = calibration.measured_bundle
     raw = stack.planes
@@ -114,39 +99,12 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
         warnings.warn(note, stacklevel=2)
     images = {
         mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)
-        for mode in MODES
+        for mode in COMPARED_MODES
         if mode is not Mode.ELSA or len(raw) > 1
     }
     side = images[Mode.LS].shape[1]
     inside = disc(side, USED_DIAMETER * bundle.diameter_px)
     return Comparison(images, inside, um_per_px_of(stack, calibration))
-
-
-def white_levels(images: Mapping[Mode, Image], inside: NDArray[np.bool_], scaling: Scaling | str) -> dict[Mode, float]:
-    """Return the grey level displayed as white, for each image.
-
-    Parameters
-    ----------
-    images : mapping
-        Mode to (n, n) grey levels.
-    inside : numpy.ndarray
-        (n, n) bool, pixels that are evaluated.
-    scaling : Scaling or str
-        Rule.
-
-    Returns
-    -------
-    dict
-        Mode to grey level.
-    """
-    own = {mode: white_level(image, inside) for mode, image in images.items()}
-    match Scaling(scaling):
-        case Scaling.INDIVIDUAL:
-            return own
-        case Scaling.SHARED:
-            return dict.fromkeys(own, max(own.values()))
-        case Scaling.PAPER:
-            return {mode: own[Mode.ELS] if mode is Mode.ELSA else white for mode, white in own.items()}
 
 
 def image_statistics(images: Mapping[Mode, Image], inside: NDArray[np.bool_]) -> dict[Mode, ImageStatistics]:
@@ -229,7 +187,8 @@ for mode, found in image_statistics(images, comparison.inside).items():
     print(f"{{mode}}: contrast {{found.contrast:.3f}}, background {{found.background:.1f}} grey levels")
 """
     imports = (
-        "from napari_elsplus.viewing.comparison import compare_stack, image_statistics, white_levels",
+        "from napari_elsplus.processing.analysis.image_quality import white_levels",
+        "from napari_elsplus.viewing.comparison import compare_stack, image_statistics",
         "from napari_elsplus.viewing.stack import Stack",
     )
     return recording_script(f"LS, ELSA and ELS+ of a frame of {stack.file_name}.", stack, calibration, body, imports)

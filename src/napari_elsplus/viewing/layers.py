@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 SMOOTH: Final = "linear"
 """Interpolation of images: displayed below full resolution, the core pattern would alias (moire) with "nearest". Raw
 frames keep "nearest", to show single pixels."""
-TITLES: Final = {Mode.LS: "LS", Mode.RESIDUAL: "residual", Mode.ELS: "ELS+", Mode.ELSA: "ELSA"}
-"""Display names of the modes, as in the paper."""
 GAP_PX: Final = 20
 """Columns between images that are displayed side by side; chosen, 6 % of an image at 240 Hz."""
 TITLE_COLOUR: Final = "#8c8c8c"
@@ -128,11 +126,11 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
     """
     origin_px = images_origin_px(calibration)
     layers: list[Layer] = []
-    for mode, title in TITLES.items():
+    for mode in Mode:
         if mode is Mode.ELSA and (len(stack.planes) < mode.frames_per_image or stack.depth_um is not None):
             continue
         images = image_planes(stack.planes, calibration, mode)
-        words = attributes(stack, title, calibration, origin_px=origin_px)
+        words = attributes(stack, mode.label, calibration, origin_px=origin_px)
         words["scale"] = (mode.frames_per_image * words["scale"][0], *words["scale"][1:])
         words["visible"] = mode is Mode.ELS
         words["interpolation2d"] = SMOOTH
@@ -217,7 +215,7 @@ def finished_layer(stack: Stack) -> Layer:
     """Return processed images of a stack as a layer; a single image (a mosaic) has neither time nor depth axis."""
     settings = stack.metadata.get("settings")
     mode = settings.get("mode") if isinstance(settings, dict) else None
-    title = next((title for known, title in TITLES.items() if known.value == mode), "images")
+    title = next((known.label for known in Mode if known.value == mode), "images")
     words = attributes(stack, title, None)
     words["contrast_limits"] = _white(stack.planes)
     words["interpolation2d"] = SMOOTH

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 def command(raw: Path, calibration: Path | None, frame: int, output: Path, force: bool) -> None:
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
     from napari_elsplus.io import open_recording
-    from napari_elsplus.workflows.pictures.comparison import TITLES, compare
+    from napari_elsplus.processing.images.modes import COMPARED_MODES
+    from napari_elsplus.workflows.pictures.comparison import compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
     refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
@@ -39,6 +40,6 @@ def command(raw: Path, calibration: Path | None, frame: int, output: Path, force
     with open_recording(raw) as recording:
         comparison = compare(recording, calibration_of(recording, calibration), frame)
     comparison.save(output, force=force)
-    for mode, title in TITLES.items():
+    for mode in COMPARED_MODES:
         levels = comparison.contrast(mode)
-        click.echo(f"{title:5} contrast {levels.michelson:.3f}, background {levels.background:.3f} of white")
+        click.echo(f"{mode.label:5} contrast {levels.michelson:.3f}, background {levels.background:.3f} of white")

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.instrument.arguments import Choice
+from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -46,6 +48,46 @@ def white_level(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> float
     """
     level = float(np.quantile(image[inside], 1 - SATURATED_FRACTION))
     return max(level, float(np.finfo(np.float32).tiny))
+
+
+class Scaling(Choice):
+    """Rule for the grey levels displayed as white in compared images."""
+
+    PAPER = "0.01 % saturated"
+    """LS and ELS+ each with 0.01 % of the pixels saturated, ELSA by the factor of ELS+, as in the paper."""
+    SHARED = "shared"
+    """One level for all images: that of the brightest."""
+    INDIVIDUAL = "individual"
+    """Each with 0.01 % of its pixels saturated."""
+
+
+def white_levels(
+    images: Mapping[Mode, NDArray[np.float32]], inside: NDArray[np.bool_], scaling: Scaling | str = Scaling.PAPER
+) -> dict[Mode, float]:
+    """Return the grey level displayed as white, for each of several images.
+
+    Parameters
+    ----------
+    images : mapping
+        Mode to (n, n) grey levels.
+    inside : numpy.ndarray
+        (n, n) bool, pixels that are evaluated.
+    scaling : Scaling or str
+        Rule.
+
+    Returns
+    -------
+    dict
+        Mode to grey level.
+    """
+    own = {mode: white_level(image, inside) for mode, image in images.items()}
+    match Scaling(scaling):
+        case Scaling.INDIVIDUAL:
+            return own
+        case Scaling.SHARED:
+            return dict.fromkeys(own, max(own.values()))
+        case Scaling.PAPER:
+            return {mode: own[Mode.ELS] if mode is Mode.ELSA else white for mode, white in own.items()}
 
 
 def alignment_error(confocal: NDArray[np.floating], residual: NDArray[np.floating], diameter_px: float) -> float:

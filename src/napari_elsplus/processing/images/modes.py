@@ -67,6 +67,11 @@ class Mode(Choice):
     """Confocal of one frame minus residual of the next: sequential ELS, for comparison."""
 
     @property
+    def label(self) -> str:
+        """Display name, as in the paper."""
+        return {Mode.RESIDUAL: "residual", Mode.ELS: "ELS+"}.get(self, self.value.upper())
+
+    @property
     def frames_per_image(self) -> int:
         """Raw frames from which one image is made, in non-overlapping groups: 2 for ELSA, otherwise 1."""
         return FRAMES_PER_IMAGE if self is Mode.ELSA else 1
@@ -74,3 +79,7 @@ class Mode(Choice):
     def source_frames(self, index: int) -> tuple[int, int]:
         """Return the numbers of the raw frames of the confocal and of the residual view of the image with an index."""
         return elsa_frames(index) if self is Mode.ELSA else (index, index)
+
+
+COMPARED_MODES: Final[tuple[Mode, ...]] = (Mode.LS, Mode.ELSA, Mode.ELS)
+"""Those that are compared, from left to right."""

@@ -9,21 +9,18 @@ from magicgui.widgets import ComboBox, SpinBox
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE
-from napari_elsplus.processing.analysis.image_quality import white_level
+from napari_elsplus.processing.analysis.image_quality import Scaling, white_level, white_levels
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, line_profiles
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.comparison import (
     Comparison,
     ImageStatistics,
-    Scaling,
     compare_stack,
     comparison_script,
     difference_planes,
     image_statistics,
-    white_levels,
 )
-from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, ComparisonLayers
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
@@ -47,7 +44,8 @@ from napari_elsplus.widgets.shared.panel import (
 from napari_elsplus.widgets.shared.plots import Curve
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
-from napari_elsplus.workflows.pictures.comparison import ComparisonFigure
+from napari_elsplus.workflows.pictures.comparison import ComparisonFigure, scaled_images
+from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,8 +55,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.widgets.shared.plots import ThemedPlot
 
-COLOURS: Final = {Mode.LS: "blue", Mode.ELSA: "orange", Mode.ELS: "green"}
-DASHES: Final = {Mode.LS: "dotted", Mode.ELSA: "dashed", Mode.ELS: "solid"}
 SIDE_BY_SIDE, BLINK, DIFFERENCE = "side by side", "blink", "difference"
 DIFFERENCES: Final = ((Mode.LS, Mode.ELS), (Mode.ELSA, Mode.ELS))
 """Light removed by the subtraction; motion between ELSA's two frames."""
@@ -173,7 +169,7 @@ class ComparePanel(AnalysisPanel):
             found = line_profiles(images, *self.display.line, self._comparison.um_per_px, self.line_width.value)
             unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
             curves = [
-                Curve(TITLES[mode], found.position, values, COLOURS[mode], DASHES[mode])
+                Curve(mode.label, found.position, values, MODE_COLOURS[mode], MODE_DASHES[mode])
                 for mode, values in found.values.items()
             ]
             self.plot.draw(curves, bottom=f"position along the line / {unit}")
@@ -190,8 +186,7 @@ class ComparePanel(AnalysisPanel):
             if self._comparison is None:
                 raise InputError("there is no comparison to save", "press Compare first")
             images, inside = self._comparison.at(self._index()), self._comparison.inside
-            white = white_levels(images, inside, self.scaling.value)
-            scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
+            scaled = scaled_images(images, inside, self.scaling.value)
             um_per_px, width_px = self._comparison.um_per_px, int(self.line_width.value)
             figure = ComparisonFigure(scaled, inside, self.display.line or (), width_px, um_per_px)
             figure.save(path, force=True)
@@ -257,18 +252,18 @@ class ComparePanel(AnalysisPanel):
         if self.view.value == DIFFERENCE:
             pairs = [(a, b) for a, b in DIFFERENCES if a in comparison.images]
             return [
-                ComparedImage(f"{TITLES[a]} - {TITLES[b]}", difference_planes(comparison, a, b), colour, signed=True)
+                ComparedImage(f"{a.label} - {b.label}", difference_planes(comparison, a, b), colour, signed=True)
                 for (a, b), colour in zip(pairs, colours, strict=False)
             ]
         return [
-            ComparedImage(TITLES[mode], planes, colour)
+            ComparedImage(mode.label, planes, colour)
             for (mode, planes), colour in zip(comparison.images.items(), colours, strict=True)
         ]
 
     def _title_colours(self, comparison: Comparison) -> list[str]:
         """Return the colours of the titles for the present background."""
         plain = self.view.value == DIFFERENCE
-        return [self.plot.colour("grey" if plain else COLOURS[mode]) for mode in comparison.images]
+        return [self.plot.colour("grey" if plain else MODE_COLOURS[mode]) for mode in comparison.images]
 
     def _index(self) -> int:
         layer = self.display.images[0] if self.display.images else self._chosen()
@@ -342,6 +337,6 @@ def _table(found: dict[Mode, ImageStatistics], plot: ThemedPlot) -> str:
 
     rows = [row("", "contrast", "background", "background, % of LS")]
     for mode, one in found.items():
-        title = f"<b style='color:{plot.colour(COLOURS[mode])}'>{TITLES[mode]}</b>"
+        title = f"<b style='color:{plot.colour(MODE_COLOURS[mode])}'>{mode.label}</b>"
         rows.append(row(title, f"{one.contrast:.2f}", f"{one.background:.1f}", f"{100 * one.background_left:.0f} %"))
     return f"<table width='100%' cellspacing=3>{''.join(rows)}</table>"

@@ -17,7 +17,7 @@ from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.frame_regions import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
-from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES, titles_layer
+from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.widgets.shared.choosing import LIVE
 from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.ring import Ring, Stamp
     from napari_elsplus.instrument.calibration import Calibration
 
-KINDS: Final = {RAW: "raw", **{mode.value: TITLES[mode] for mode in Mode}}
+KINDS: Final = {RAW: "raw", **{mode.value: mode.label for mode in Mode}}
 """Titles of the images, by field of the display ring."""
 MIN_LIT: Final = 10.0
 """Grey level of white below which an image is dark: the galvo is parked, or the laser off. Chosen: noise without light

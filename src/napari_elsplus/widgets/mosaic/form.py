@@ -8,10 +8,9 @@ from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
 
 from napari_elsplus.io.settings import recall, remember
-from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
-from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.widgets.shared.choosing import LayerChoice
@@ -32,7 +31,6 @@ INSERTION_LABELS: Final = {
     Insertion.CORES.value: "core by core (finer)",
 }
 METHOD_LABELS: Final = {"elsplus": "this software", "paper": "Thrapp 2021"}
-MODES: Final = (Mode.LS, Mode.ELSA, Mode.ELS)
 
 
 class MosaicForm:
@@ -58,7 +56,7 @@ class MosaicForm:
             tooltip="A calibration file; empty: the recording's own",
         )  # fmt: skip
         self.modes = {
-            mode: CheckBox(value=mode.value in modes, text=TITLES[mode], tooltip=_TIPS[mode]) for mode in MODES
+            mode: CheckBox(value=mode.value in modes, text=mode.label, tooltip=_TIPS[mode]) for mode in COMPARED_MODES
         }
         methods, insertions = tracking_methods(), [i.value for i in Insertion]
         self.method = ComboBox(

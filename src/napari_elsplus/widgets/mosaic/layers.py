@@ -10,7 +10,7 @@ import numpy as np
 from napari.layers import Image, Points
 
 from napari_elsplus.processing.mosaicing.coverage import Coverage
-from napari_elsplus.viewing.layers import TITLE_RISE, TITLES, titles_layer
+from napari_elsplus.viewing.layers import TITLE_RISE, titles_layer
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.growing_maps import GrowingMaps
 from napari_elsplus.viewing.mosaic.track import TrackDrawing
@@ -59,7 +59,7 @@ class MosaicLayers:
         self._mosaics: Mosaics | None = None
         self.drawing: TrackDrawing | None = None
 
-    def show(self, mosaics: Mosaics, lead: Mode, titles: Mapping[Mode, str] = TITLES) -> None:
+    def show(self, mosaics: Mosaics, lead: Mode, title: str | None = None) -> None:
         """Display mosaics, in place of earlier ones.
 
         Parameters
@@ -68,10 +68,10 @@ class MosaicLayers:
             May still be empty.
         lead : Mode
             Mode over which the track is drawn, and whose layout the others follow.
-        titles : mapping
-            Titles of the modes.
+        title : str, optional
+            Title of the only mosaic of finished images; by default the labels of the modes.
         """
-        self._mosaics, self._lead, self._titles = mosaics, lead, titles
+        self._mosaics, self._lead, self._title = mosaics, lead, title
         self._images = {mode: GrowingImage() for mode in mosaics.canvases}
         self._revision = mosaics.revision
         self._reset_track(mosaics)
@@ -172,7 +172,7 @@ class MosaicLayers:
             (places[mode][0] + frame.top - TITLE_RISE * frame.shape[0], places[mode][1] + frame.left)
             for mode, frame in drawn.items()
         ]
-        data, attributes, _ = titles_layer("mosaic titles", [self._titles[mode] for mode in drawn], corners, {})
+        data, attributes, _ = titles_layer("mosaic titles", [mode.label for mode in drawn], corners, {})
         layer, made = self.own.obtain(NAMES, lambda: Points(data, **attributes))
         if layer is not None and not made:
             layer.data, layer.features = data, attributes["features"]
@@ -180,7 +180,7 @@ class MosaicLayers:
     def _made(self, mode: Mode, image: GrowingImage) -> Image:
         return Image(
             image.levels, multiscale=True, contrast_limits=(0.0, image.white_level), interpolation2d="linear",
-            name=f"mosaic {self._titles[mode]}",
+            name=f"mosaic {self._title or mode.label}",
         )  # fmt: skip
 
     def _draw_over(self, mosaics: Mosaics) -> None:

@@ -311,7 +311,7 @@ class MosaicPanel(EnginePanel):
         self._following_live = False
         self._hide_others()
         self._shown = mosaics
-        self.layers.show(mosaics, mosaics.plan.tracked, source.titles)
+        self.layers.show(mosaics, mosaics.plan.tracked, source.title)
 
     def _may_replace(self, by: str) -> bool:
         """Return True if the displayed mosaic was saved, or the user agrees to discard it."""

@@ -11,11 +11,10 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
-from napari_elsplus.viewing.layers import TITLES
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     import napari.viewer
@@ -40,18 +39,20 @@ class MosaicSource:
         Acquisition times.
     frame_numbers : sequence of int, optional
         The camera's numbers; gaps are lost frames.
-    titles : mapping
-        Titles of the modes.
-    finished : bool
-        True for finished images, of which only one mosaic can be made.
+    title : str, optional
+        Title of finished images, of which only one mosaic can be made; None for raw frames.
     """
 
     frames: Frames
     calibration: Calibration
     times_s: Sequence[float] | None
     frame_numbers: Sequence[int] | None
-    titles: Mapping[Mode, str]
-    finished: bool = False
+    title: str | None = None
+
+    @property
+    def finished(self) -> bool:
+        """True for finished images."""
+        return self.title is not None
 
     def plan(self, wanted: MosaicPlan) -> MosaicPlan:
         """Return the wanted plan, restricted to one mode for finished images."""
@@ -121,12 +122,10 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     frames = stack.planes if stack is not None and raw else _Planes(layer.data)
     if calibration is not None:
         numbers = None if recording is None else recording.frame_numbers
-        return MosaicSource(frames, calibration, times_s, numbers, TITLES)
+        return MosaicSource(frames, calibration, times_s, numbers)
     measured = str(layer.units[-1]) in ("micrometer", "um") and not adopted_axes(layer.metadata, layer.ndim)[-1]
     um = float(layer.scale[-1]) if measured else None
-    return MosaicSource(
-        frames, calibration_of_finished_images(frames, um), times_s, None, {Mode.LS: layer.name}, finished=True
-    )
+    return MosaicSource(frames, calibration_of_finished_images(frames, um), times_s, None, layer.name)
 
 
 def _facts(layer: Image) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from magicgui.widgets import PushButton
 from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import LAG
+from napari_elsplus.workflows.pictures.curves import PAPER_COLOURS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,8 +18,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
 
-AMBER: Final = "#e69f00"
-"""Orange of the palette of Okabe and Ito (2008)."""
+AMBER: Final = PAPER_COLOURS["orange"]
 
 
 def amber(text: str) -> str:

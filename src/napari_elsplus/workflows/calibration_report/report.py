@@ -17,6 +17,7 @@ from napari_elsplus.processing.calibration.step import StepState
 from napari_elsplus.processing.calibration.steps import calibration_steps
 from napari_elsplus.processing.calibration.summaries import unevenness, with_uncertainty
 from napari_elsplus.workflows.calibration_report.plots import picture
+from napari_elsplus.workflows.pictures.curves import PAPER_COLOURS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,11 +33,6 @@ if TYPE_CHECKING:
 
 PAGE_MM: Final = (210.0, 297.0)
 """Width and height of a page: A4."""
-COLOURS: Final = {
-    "blue": "#0072b2", "orange": "#e69f00", "green": "#009e73", "grey": "#7f7f7f", "vermilion": "#d55e00",
-    "purple": "#cc79a7",
-}  # fmt: skip
-"""Of Okabe and Ito's palette, for white paper."""
 DASHES: Final = {"none": "", "solid": "-", "dashed": "--", "dotted": ":"}
 MAX_PLOT_HEIGHT: Final = 0.36
 """Of a page; chosen: a single plot is not stretched over the whole page."""
@@ -249,12 +245,14 @@ def _history_page(history: CalibrationHistory) -> Figure:
 
 def _draw(axes: Axes, plot: Plot) -> None:
     for curve in plot.curves:
-        (line,) = axes.plot(curve.x, curve.y, color=COLOURS[curve.colour], linewidth=1)
+        (line,) = axes.plot(curve.x, curve.y, color=PAPER_COLOURS[curve.colour], linewidth=1)
         line.set(linestyle=DASHES[curve.dash], marker="." if curve.marks else "", markersize=3)
         line.set_label(curve.name if curve.listed else f"_{curve.name}")
     for position, colour, text in plot.marks:
-        axes.axvline(position, color=COLOURS[colour], linestyle=":", linewidth=0.8)
-        axes.text(position, 0.95, f" {text}", transform=axes.get_xaxis_transform(), fontsize=8, color=COLOURS[colour])
+        axes.axvline(position, color=PAPER_COLOURS[colour], linestyle=":", linewidth=0.8)
+        axes.text(
+            position, 0.95, f" {text}", transform=axes.get_xaxis_transform(), fontsize=8, color=PAPER_COLOURS[colour]
+        )
     axes.set_xlabel(plot.bottom, fontsize=9)
     axes.set_ylabel(plot.left, fontsize=9)
     axes.tick_params(labelsize=8)
@@ -283,4 +281,4 @@ def _show(axes: Axes, name: str, image: NDArray[Any], bundle: BundleSection | No
     if bundle is not None:
         centres = ((bundle.confocal_centre, "blue"), (bundle.residual_centre, "orange"))
         for (row, col), colour in centres:
-            axes.add_patch(Circle((col, row), bundle.diameter_px / 2, fill=False, color=COLOURS[colour]))
+            axes.add_patch(Circle((col, row), bundle.diameter_px / 2, fill=False, color=PAPER_COLOURS[colour]))

@@ -14,15 +14,18 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
-from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, Contrast, contrast, white_level
+from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, Contrast, Scaling, contrast, white_levels
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.images.modes import COMPARED_MODES
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
+from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES, PAPER_COLOURS
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Mapping
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -31,11 +34,9 @@ if TYPE_CHECKING:
 
     Point = tuple[float, float]
 
-TITLES: Final = {Mode.LS: "LS", Mode.ELSA: "ELSA", Mode.ELS: "ELS+"}
-COLOURS: Final = {Mode.LS: "#0072b2", Mode.ELSA: "#e69f00", Mode.ELS: "#009e73"}
-"""Of Okabe and Ito's palette, distinguishable with colour-vision deficiency."""
-DASHES: Final = {Mode.LS: (0, (1, 1)), Mode.ELSA: (0, (4, 1.5)), Mode.ELS: "-"}
-"""Distinguish the profiles without colour."""
+COLOURS: Final = {mode: PAPER_COLOURS[colour] for mode, colour in MODE_COLOURS.items()}
+LINE_STYLES: Final = {"dotted": (0, (1, 1)), "dashed": (0, (4, 1.5)), "solid": "-"}
+"""Colours and dashes of the profiles, which distinguish them without colour."""
 COLUMN_MM: Final = 85.0
 """Width of the figure, millimetres: one column of most journals."""
 FONT_PT: Final = 7.0
@@ -145,10 +146,15 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
         Mode.ELS: sectioner.els(raw[frame]),
     }
     inside = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
-    white = {mode: white_level(images[mode], inside) for mode in (Mode.LS, Mode.ELS)}
-    white[Mode.ELSA] = white[Mode.ELS]
-    scaled = {mode: image / np.float32(white[mode]) for mode, image in images.items()}
-    return ComparisonFigure(scaled, inside, um_per_px=calibration.um_per_px)
+    return ComparisonFigure(scaled_images(images, inside), inside, um_per_px=calibration.um_per_px)
+
+
+def scaled_images(
+    images: Mapping[Mode, NDArray[np.float32]], inside: NDArray[np.bool_], scaling: Scaling | str = Scaling.PAPER
+) -> dict[Mode, NDArray[np.float32]]:
+    """Return images (n, n) by their modes whose white is 1; parameters as of `white_levels`."""
+    white = white_levels(images, inside, scaling)
+    return {mode: image / np.float32(white[mode]) for mode, image in images.items()}
 
 
 def draw_comparison(comparison: ComparisonFigure) -> Figure:
@@ -165,7 +171,7 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
     matplotlib.figure.Figure
         Without a window; :func:`save_figure` saves it.
     """
-    shown = [mode for mode in TITLES if mode in comparison.images]
+    shown = [mode for mode in COMPARED_MODES if mode in comparison.images]
     image_mm = COLUMN_MM / len(shown)
     size_mm = (COLUMN_MM, image_mm + _CAPTION_MM + _PROFILE_MM)
     layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0.02, hspace=0.02)
@@ -187,7 +193,7 @@ def _draw_image(axes: Axes, comparison: ComparisonFigure, mode: Mode, letter: st
     axes.plot([col, col_end], [row, row_end], color=COLOURS[mode], linewidth=0.7, linestyle=(0, (5, 4)))
     axes.set_xlim(-0.5, len(image) - 0.5)
     axes.set_ylim(len(image) - 0.5, -0.5)
-    axes.set_title(rf"$\bf{{{letter}}}$  {TITLES[mode]}", fontsize=FONT_PT, loc="left", pad=2)
+    axes.set_title(rf"$\bf{{{letter}}}$  {mode.label}", fontsize=FONT_PT, loc="left", pad=2)
     background = 100 * comparison.contrast(mode).background
     axes.set_xlabel(f"background {background:.1f} %", fontsize=SMALL_PT, labelpad=2)
     axes.set(xticks=[], yticks=[])
@@ -200,7 +206,7 @@ def _draw_profiles(axes: Axes, comparison: ComparisonFigure, shown: list[Mode]) 
     found = comparison.profiles()
     for mode in shown:
         (curve,) = axes.plot(found.position, found.values[mode], color=COLOURS[mode], linewidth=0.8)
-        curve.set(label=TITLES[mode], linestyle=DASHES[mode])
+        curve.set(label=mode.label, linestyle=LINE_STYLES[MODE_DASHES[mode]])
     axes.axhline(0, color="0.7", linewidth=0.5)
     unit = "\N{MICRO SIGN}m" if found.unit == "um" else "px"
     axes.set_xlabel(f"position along the line / {unit}", fontsize=FONT_PT, labelpad=2)

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.pictures.comparison import COLOURS, TITLES, ComparisonFigure
+from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
+from napari_elsplus.workflows.pictures.comparison import COLOURS, ComparisonFigure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
@@ -52,14 +52,14 @@ def draw_contact_sheet(
         **bottom.subplot_mosaic([["mosaic_ls", "mosaic_els"]]),
     }
     _draw_raw(axes["raw"], raw, calibration)
-    for mode, title in TITLES.items():
+    for mode in COMPARED_MODES:
         shown = np.where(comparison.inside, comparison.images[mode], 0)
-        _show(axes[mode.value], shown, title, 1.0, comparison.um_per_px)
+        _show(axes[mode.value], shown, mode.label, 1.0, comparison.um_per_px)
     for mode in (Mode.LS, Mode.ELS):
         mosaic = mosaics[mode]
         drawn = mosaic[mosaic != 0]
         white = float(np.quantile(drawn, 0.999))
-        _show(axes[f"mosaic_{mode.value}"], mosaic, f"mosaic, {TITLES[mode]}", white, mosaic_um_per_px)
+        _show(axes[f"mosaic_{mode.value}"], mosaic, f"mosaic, {mode.label}", white, mosaic_um_per_px)
     return figure
 
 
