@@ -50,9 +50,8 @@ def small_engine(tmp_path, monkeypatch):
 
     clients.start = start
     monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", start)
-    for panel in ("live.panel", "mosaic.panel"):
-        slow = f"napari_elsplus.widgets.{panel}.remembered_settings"
-        monkeypatch.setattr(slow, lambda: Settings("240hz", frame_rate_hz=100.0))
+    slow = Settings("240hz", frame_rate_hz=100.0)
+    monkeypatch.setattr("napari_elsplus.widgets.shared.engine_panel.remembered_settings", lambda: slow)
     yield clients
     end = time.monotonic() + 60
     while any(exists(client.pid) for client in clients):  # they end beside the window

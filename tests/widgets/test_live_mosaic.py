@@ -179,3 +179,13 @@ def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, pan
     qtbot.waitUntil(lambda: len(first.rows) > rows, timeout=30_000)
     assert panel._shown is first
     assert viewer.layers["broken"].visible
+
+
+def test_the_rig_is_connected_by_the_calibration_that_the_panels_share(viewer, qtbot):
+    known = runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()
+    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
+    panel.connection.apply(known)
+    for mode, box in panel.form.modes.items():
+        box.value = mode == "ls"
+    go_live(viewer, panel, qtbot)
+    assert panel.connection.client.calibration == known

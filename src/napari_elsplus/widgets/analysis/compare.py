@@ -30,7 +30,7 @@ from napari_elsplus.widgets.shared.choosing import (
     chosen_image,
     shown_index,
 )
-from napari_elsplus.widgets.shared.files import file_to_save, note_folder
+from napari_elsplus.widgets.shared.files import choose_file_to_write, note_folder
 from napari_elsplus.widgets.shared.panel import (
     button_row,
     copy_as_script,
@@ -318,8 +318,7 @@ class ComparePanel(AnalysisPanel):
         self.show_numbers()
 
     def _ask_where_to_save_figure(self) -> None:
-        if path := file_to_save(self, "Save the figure", "comparison.pdf", FIGURES):
-            self.save_figure_to(path)
+        choose_file_to_write(self, "Save the figure", "comparison.pdf", FIGURES, self.save_figure_to)
 
 
 def _round_up(level: float) -> float:

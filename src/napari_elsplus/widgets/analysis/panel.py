@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from napari_elsplus.io.formats.registry import dialog_filter
-from napari_elsplus.widgets.shared.files import file_to_save
+from napari_elsplus.widgets.shared.files import choose_file_to_write
 from napari_elsplus.widgets.shared.panel import Panel, push_button, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
@@ -67,12 +67,11 @@ class AnalysisPanel(Panel):
             Kinds of files.
         """
 
-        def chosen() -> None:
-            if path := file_to_save(self, title, name, dialog_filter(*formats)):
-                with notify_errors(self):
-                    self.save_to(path)
+        def save(path: Path) -> None:
+            with notify_errors(self):
+                self.save_to(path)
 
-        return push_button(text, chosen)
+        return push_button(text, lambda: choose_file_to_write(self, title, name, dialog_filter(*formats), save))
 
     def _layers_changed(self) -> None:
         """Update the choices and buttons."""

@@ -25,9 +25,9 @@ from napari_elsplus.instrument.optics import MAX_BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
-from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.panel import panel_layout, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
+from napari_elsplus.widgets.shared.rig_choice import preset_label
 from napari_elsplus.widgets.shared.window.keys import key_name
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from qtpy.QtCore import Qt
@@ -10,13 +9,15 @@ from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QPushButton, QVBoxLa
 
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.widgets.shared.calibration_state import amber
-from napari_elsplus.widgets.shared.files import file_to_save, folder_to_open
+from napari_elsplus.widgets.shared.files import choose_file_to_write, choose_folder
 from napari_elsplus.widgets.shared.panel import text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.workflows.calibration_report.history import CalibrationHistory, calibration_history
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from qtpy.QtWidgets import QWidget
 
 
@@ -78,11 +79,11 @@ class HistoryDialog(QDialog):
         self.notes.setText("<br>".join([counted, *map(amber, self.history.warnings)]))
 
     def _choose_folder(self) -> None:
-        if folder := folder_to_open(self, "Folder of calibrations"):
-            self.show_folder(Path(folder))
+        choose_folder(self, "Folder of calibrations", self.show_folder)
 
     def _save(self) -> None:
-        kinds = dialog_filter(PICTURE, TABLE)
-        if path := file_to_save(self, "Save the plot", "history.png", kinds):
+        def save(path: Path) -> None:
             with notify_errors(self._panel):
-                self.plot.save(Path(path))
+                self.plot.save(path)
+
+        choose_file_to_write(self, "Save the plot", "history.png", dialog_filter(PICTURE, TABLE), save)

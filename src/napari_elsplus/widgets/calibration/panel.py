@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -11,17 +12,16 @@ from napari.utils.notifications import show_info
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.optics import BUNDLE_UM
-from napari_elsplus.io import read_calibration, write_calibration
-from napari_elsplus.io.formats.registry import CALIBRATION
-from napari_elsplus.io.settings import recall, remember, set_active_calibration
-from napari_elsplus.processing.calibration.step import StepState
+from napari_elsplus.io import read_calibration, volts_beside, write_calibration
+from napari_elsplus.io.formats.registry import CALIBRATION, PICTURE, TABLE, dialog_filter, recordings_filter
+from napari_elsplus.io.settings import set_active_calibration
+from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps, find_step
 from napari_elsplus.viewing.calibration_script import MeasurementSource, calibration_script
 from napari_elsplus.viewing.outlines import summary
-from napari_elsplus.widgets.calibration import dialogs, measuring
+from napari_elsplus.widgets.calibration import measuring
 from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.hints import explanation, next_action
@@ -29,10 +29,11 @@ from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.session import Session, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.choosing import frames_of
-from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel, copy_as_script, timer
-from napari_elsplus.widgets.shared.problems import notify_errors, problems
-from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
+from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write
+from napari_elsplus.widgets.shared.panel import copy_as_script, timer
+from napari_elsplus.widgets.shared.problems import notify_errors
+from napari_elsplus.widgets.shared.rig_choice import remember_rig, remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
 from napari_elsplus.workflows.calibration_report.history import history_beside
@@ -40,7 +41,6 @@ from napari_elsplus.workflows.calibration_report.report import calibration_numbe
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     import napari.viewer
 
@@ -54,11 +54,11 @@ POLL_MS: Final = 50
 """Chosen: twenty updates a second look continuous."""
 NUMBERS_INTERVAL: Final = 8
 """Displayed offsets from one update of the lines below the plots to the next; chosen: drawing text takes long."""
-SECTION: Final = "calibration"
-"""Of the settings that are remembered."""
+CALIBRATIONS, PLOTS = dialog_filter(CALIBRATION), dialog_filter(PICTURE, TABLE)
+"""Filters of file dialogs."""
 
 
-class CalibrationPanel(Panel):
+class CalibrationPanel(EnginePanel):
     """Calibrate step by step: measure, accept or discard, undo; save and load.
 
     Parameters
@@ -73,19 +73,15 @@ class CalibrationPanel(Panel):
         self.key = OFFSET.key
         self._setup: Setup | None = None
         self._following: measuring.OffsetFollowing | None = None
-        self._left = False
         self._saved: Calibration | None = None
-        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
         self._known: tuple[Settings | None, dict[str, str]] = (None, {})
-        self._changed = False
-        self.connection = join()
         self.sharing = Sharing(self.connection)
-        self.work = Work(self._work_ended, self._cancel)
+        self.work = Work(self.refresh, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
         self._poll = timer(self, POLL_MS, self._update)
         self._poll.start()
-        self._refresh()
+        self.refresh()
 
     @property
     def draft(self) -> Draft:
@@ -114,15 +110,15 @@ class CalibrationPanel(Panel):
                 return GuidedCalibration(self.connection.connect(rig, settings)).setup()
 
             self.work.begin(0, connect, self._connected)
-            remember(SECTION, rig=rig, preset=settings.preset)
-        self._refresh()
+            remember_rig(rig, replace(remembered_settings(), preset=settings.preset))
+        self.refresh()
 
     def choose(self, key: str) -> None:
         """Display the step with a key."""
         if key != self.key:
             self.session.candidate = None
         self.key = key
-        self._refresh()
+        self.refresh()
 
     def next_step(self) -> None:
         """Display the step after this one; the first one after the last."""
@@ -135,7 +131,7 @@ class CalibrationPanel(Panel):
             guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
             measured = partial(measuring.measure_live, guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(measured), self._found)
-        self._refresh()
+        self.refresh()
 
     def follow_offset(self) -> None:
         """Measure the slit offset repeatedly until called once more; the last one may then be accepted."""
@@ -146,7 +142,7 @@ class CalibrationPanel(Panel):
             guided = GuidedCalibration(self.connection.require())
             self._following = measuring.OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(self._following.run), lambda _: None)
-        self._refresh()
+        self.refresh()
 
     def measure_file(self, path: str | Path, volts: str | Path | None = None) -> None:
         """Measure the step from a recording, in a thread of its own.
@@ -161,7 +157,7 @@ class CalibrationPanel(Panel):
         source = measuring.recorded_source(self.step, Path(path), None if volts is None else Path(volts))
         measured = partial(measuring.measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
         self.work.begin(0, measured, self._found)
-        self._refresh()
+        self.refresh()
 
     def measure_layer(self) -> None:
         """Measure the step from the raw frames of the selected layer, in a thread of its own."""
@@ -171,7 +167,7 @@ class CalibrationPanel(Panel):
             progress = self.work.progress
             measured = partial(measuring.measure_frames, source, stack.planes, volts, self.draft, target_um, progress)
             self.work.begin(0, measured, self._found)
-        self._refresh()
+        self.refresh()
 
     def open_dropped(self, path: Path) -> None:
         """Load the calibration at a dropped `path`, or measure the displayed step from a recording."""
@@ -184,30 +180,30 @@ class CalibrationPanel(Panel):
         """Accept the result into the calibration, activate the calibration, and display the next step to be done."""
         with notify_errors(self):
             if self.session.accept():
-                self.sharing.activate(self.draft.calibration)
+                self._activate(self.draft.calibration)
                 self.key = self.session.next_undone(self.key)
-        self._refresh()
+        self.refresh()
 
     def discard(self) -> None:
         """Discard the result; the calibration stays as it was."""
         self.session.candidate = None
-        self._refresh()
+        self.refresh()
 
     def undo(self) -> None:
         """Restore the calibration before the last step was accepted."""
         if self.session.undo():
-            self.sharing.activate(self.draft.calibration)
-        self._refresh()
+            self._activate(self.draft.calibration)
+        self.refresh()
 
     def load(self, path: str | Path) -> None:
         """Read and activate the calibration at a path."""
         with notify_errors(self):
             calibration = read_calibration(path)
             self.session.begin_with(calibration)
-            self.sharing.activate(self.draft.calibration, Path(path))
+            self._activate(self.draft.calibration, Path(path))
             set_active_calibration(path)
             show_info(f"{Path(path).name}: {summary(calibration)}")
-        self._refresh()
+        self.refresh()
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a path, and open recordings that have none of their own with it from now on."""
@@ -215,7 +211,7 @@ class CalibrationPanel(Panel):
             written = write_calibration(path, self.draft.calibration, force=True)
             set_active_calibration(written)
             self._saved = self.draft.calibration
-            self.sharing.activate(self.draft.calibration, written)
+            self._activate(self.draft.calibration, written)
             show_info(f"saved {written.name}: {summary(self.draft.calibration)}")
 
     def save_plots(self, path: str | Path) -> None:
@@ -244,34 +240,31 @@ class CalibrationPanel(Panel):
 
     def cleanup(self) -> None:
         """Stop measuring, remove the layers, release the engine and the viewer."""
-        if self._left:
-            return
-        self._left = True
-        self._poll.stop()
-        self.work.cancel()
-        show_bundle(self.viewer, None, self.draft)
-        self.connection.leave()
+        if not self._closed:
+            self._poll.stop()
+            self.work.cancel()
+            show_bundle(self.viewer, None, self.draft)
         super().cleanup()
 
     def _wire(self) -> None:
         form, viewer = self.form, self.viewer
-        remembered = recall(SECTION)
-        form.restore(remembered.get("rig", SIMULATED), remembered.get("preset", "240hz"))
+        read, write = partial(choose_file_to_read, self), partial(choose_file_to_write, self)
+        form.restore(remembered_rig(), remembered_settings().preset)
         form.connect(
             {
                 form.connect_button: self.connect_rig,
                 form.measure: self.measure,
                 form.follow_button: self.follow_offset,
-                form.from_file: lambda: dialogs.measure_chosen(self, self.step, self.measure_file),
+                form.from_file: self._measure_chosen_file,
                 form.from_layer: self.measure_layer,
                 form.accept: self.accept,
                 form.discard: self.discard,
                 form.undo: self.undo,
                 form.next_step: self.next_step,
-                form.load: lambda: dialogs.act_on(dialogs.calibration_to_load(self), self.load),
-                form.save: lambda: dialogs.act_on(dialogs.where_to_save(self), self.save),
-                form.save_plots: lambda: dialogs.act_on(dialogs.where_to_save_plots(self, self.key), self.save_plots),
-                form.report: lambda: dialogs.act_on(dialogs.where_to_save_report(self), self.save_report),
+                form.load: lambda: read("Load a calibration", CALIBRATIONS, self.load),
+                form.save: lambda: write("Save the calibration", "calibration.json", CALIBRATIONS, self.save),
+                form.save_plots: lambda: write("Save the plots", f"{self.key}.png", PLOTS, self.save_plots),
+                form.report: lambda: write("Save the report", "calibration.pdf", "Reports (*.pdf)", self.save_report),
                 form.history: lambda: HistoryDialog(self, viewer.theme, self.sharing.file).show(),
                 form.script: self.copy_script,
             },
@@ -285,8 +278,26 @@ class CalibrationPanel(Panel):
     def _change(self, change: Callable[[], Draft]) -> None:
         with notify_errors(self):
             self.session.change(change())
-            self.sharing.activate(self.draft.calibration)
-        self._refresh()
+            self._activate(self.draft.calibration)
+        self.refresh()
+
+    def _activate(self, calibration: Calibration, path: Path | None = None) -> None:
+        activation = self.sharing.activate(calibration, path)
+        if activation is not None:
+            self.requests.follow(activation)
+
+    def _measure_chosen_file(self) -> None:
+        """Measure the step from a chosen recording, a sweep with a table of voltages where none lies beside it."""
+        step = self.step
+
+        def measure(frames: Path) -> None:
+            if step.capture is Capture.SWEEP and volts_beside(frames) is None:
+                volts = partial(self.measure_file, frames)
+                choose_file_to_read(self, "Voltages, one per frame", dialog_filter(TABLE), volts)
+            else:
+                self.measure_file(frames)
+
+        choose_file_to_read(self, f"Frames for the {step.title}", recordings_filter(), measure)
 
     def _live_source(self) -> MeasurementSource:
         return self.form.live_source(self.key, self.connection.rig or "")
@@ -298,28 +309,20 @@ class CalibrationPanel(Panel):
             try:
                 return work()
             except ElsPlusError as error:
-                if isinstance(error, InputError) or self._left:
+                if isinstance(error, InputError) or self._closed:
                     self.work.stop_if_cancelled()
                 raise
 
         return suppressed
 
-    def _work_ended(self) -> None:
-        if self._left:  # the dock is gone, and only the work still held the panel
-            self.deleteLater()
-        else:
-            self._refresh()
-
     def _connected(self, setup: Setup) -> None:
         self._setup = setup
         if is_simulated(self.connection.rig) and self.draft.bundle_um is None and self.draft.calibration.bundle is None:
             self.session.change(self.draft.with_bundle_um(BUNDLE_UM))  # of the simulated bundle; the field shows it
-        self.sharing.activate(self.draft.calibration)
+        self._activate(self.draft.calibration)
 
-    def _setup_changed(self, done: Future[Setup]) -> None:
-        """Not in the window's thread: keep the settings that another panel has changed."""
-        if done.exception() is None:
-            self._setup, self._changed = done.result(), True
+    def _setup_changed(self, setup: Setup) -> None:
+        self._setup = setup
 
     def _found(self, shown: ShownResult) -> None:
         self.choose(shown.source.step)
@@ -336,21 +339,17 @@ class CalibrationPanel(Panel):
         shared = None if self.work.busy else self.sharing.activated_elsewhere(self.draft.calibration)
         if shared is not None:
             self.session.begin_with(shared)
-            self._refresh()
-        if (error := self.sharing.error()) is not None:
-            problems.report(str(error), self)
+            self.refresh()
         client = self.connection.client
         progress = None if client is None else client.status.progress
         if self.work.busy and progress is not None:
             self.work.show_step(progress.step, progress.done, progress.total)
         known = self.connection.settings, {} if client is None else dict(client.status.stale)
         if known != self._known and not self.work.busy:
-            self._known, self._setup, self._changed = known, None, True
+            self._known, self._setup = known, None
+            self.refresh()
             if client is not None:
-                client.setup().add_done_callback(self._setup_changed)
-        if self._changed:
-            self._changed = False
-            self._refresh()
+                self.requests.follow(client.setup(), self._setup_changed)
         if self._following is not None:
             self._show_followed(self._following)
 
@@ -363,7 +362,7 @@ class CalibrationPanel(Panel):
             self.session.candidate = newest
             self.form.show_picture(newest.picture, numbers=following.readings % NUMBERS_INTERVAL == 1)
 
-    def _refresh(self) -> None:
+    def refresh(self) -> None:
         """Display the step, its state, and the possible actions."""
         form, busy, step, draft = self.form, self.work.busy, self.step, self.draft
         if not busy:
@@ -397,4 +396,4 @@ class CalibrationPanel(Panel):
 
     def _theme_changed(self) -> None:
         self.form.apply_theme(self.viewer.theme)
-        self._refresh()
+        self.refresh()

@@ -27,7 +27,6 @@ class Sharing:
         self._activation: Future[None] | None = None
         self._seen: Calibration | None = None
         self._own: Calibration | None = None
-        self._error: BaseException | None = None
         self._file: Path | None = None
 
     @property
@@ -35,8 +34,8 @@ class Sharing:
         """File in which the panel's calibration was saved last, else that of the active one."""
         return self._file or self._connection.calibration_file
 
-    def activate(self, calibration: Calibration, path: Path | None = None) -> None:
-        """Activate a calibration for all panels and the engine, once it contains the bundle.
+    def activate(self, calibration: Calibration, path: Path | None = None) -> Future[None] | None:
+        """Activate a calibration for all panels and the engine, once it contains the bundle; None if nothing changes.
 
         Where it contains none any more, as after Undo, the one that this panel activated before is withdrawn.
 
@@ -55,13 +54,8 @@ class Sharing:
             self._own = self._seen = None
             self._activation = self._connection.apply(None)
         else:
-            return
-        self._activation.add_done_callback(lambda done: setattr(self, "_error", done.exception()))
-
-    def error(self) -> BaseException | None:
-        """Return the error of the last activation, once."""
-        error, self._error = self._error, None
-        return error
+            return None
+        return self._activation
 
     def activated_elsewhere(self, own: Calibration) -> Calibration | None:
         """Return the active calibration if another panel has changed it since the last call, an empty one if forgotten.

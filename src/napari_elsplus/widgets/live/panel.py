@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Final
 from napari.utils.notifications import show_info
 
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
-from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
@@ -56,6 +55,7 @@ class LivePanel(EnginePanel):
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
         self._faults_shown: set[str] = set()
+        self._stream_ended = False
         self._arranged: tuple[object, ...] | None = None
         self._arranged_by: Calibration | None = None
         self._shown_at_s: deque[float] = deque(maxlen=RATE_TICKS)
@@ -79,16 +79,13 @@ class LivePanel(EnginePanel):
     def toggle(self) -> None:
         """Start the stream, connecting and calibrating first if needed; or stop it."""
         client = self.connection.client
-        self.note_start()
-        if client is None:
-            rig, settings = remembered_rig(), remembered_settings()
-            self.requests.run(lambda: self.connection.connect(rig, settings), self._start)
-        elif client.status.progress is not None:
+        if client is not None and client.status.progress is not None:
             self.requests.follow(client.cancel())
-        elif client.status.live:
+        elif client is not None and client.status.live:
             self.requests.follow(client.stop())
         else:
-            self._start(client)
+            self.layers.begin()
+            self.prepare_rig(self._start)
         self.refresh()
 
     def toggle_recording(self) -> None:
@@ -134,7 +131,8 @@ class LivePanel(EnginePanel):
         """Copy a script that streams and records with the form's settings to the clipboard."""
         with notify_errors(self):
             file = self.connection.calibration_file
-            rig, settings = self.connection.rig or remembered_rig(), remembered_settings()
+            connection = self.connection
+            rig, settings = connection.rig or remembered_rig(), connection.settings or remembered_settings()
             copy_as_script(live_script(rig, settings, self.form.view, self.form.plan, file))
 
     def tick(self) -> None:
@@ -143,6 +141,7 @@ class LivePanel(EnginePanel):
         now_s = time.perf_counter()
         if client is None or not client.status.live:
             self._arranged = None  # the next stream, whichever panel starts it, displays its images again
+            self._stream_ended = True
         elif self.live and not self.canvas.pending:
             self._show_newest(client, now_s)
         if now_s - self._status_at_s > STATUS_S:
@@ -180,14 +179,6 @@ class LivePanel(EnginePanel):
         super().cleanup()
 
     def _start(self, client: EngineClient) -> None:
-        self._faults_shown.clear()
-        self.layers.begin()
-        self.activate_calibration(client, lambda: self._calibrate_and_start(client))
-
-    def _calibrate_and_start(self, client: EngineClient) -> None:
-        if client.calibration is None and is_simulated(self.connection.rig):
-            self.requests.follow(client.use_simulated_calibration(), lambda _: self._calibrate_and_start(client))
-            return
         self.requests.follow(client.show(self.form.view), lambda _: self.start_stream(client))
 
     def _show_newest(self, client: EngineClient, now_s: float) -> None:
@@ -229,6 +220,9 @@ class LivePanel(EnginePanel):
     def _show_new_faults(self, status: Status | None) -> None:
         died = self.connection.died
         messages = [str(died)] if died is not None else []
+        if status is not None and status.live and self._stream_ended:
+            self._faults_shown.clear()  # of the stream before
+            self._stream_ended = False
         if status is not None:
             messages += [str(fault) for fault in status.faults]
             messages += [status.disagreement] if status.disagreement else []

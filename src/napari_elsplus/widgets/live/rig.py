@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
@@ -10,20 +9,18 @@ from napari.utils.notifications import show_info
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import rig_names
 from napari_elsplus.instrument.optics import PRESETS, preset
 from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, dialog_filter
-from napari_elsplus.io.settings import active_calibration, recall, remember, set_active_calibration
+from napari_elsplus.io.settings import active_calibration, set_active_calibration
 from napari_elsplus.widgets.live.rehearsal import Rehearsal
 from napari_elsplus.widgets.live.status import stale_lines
 from napari_elsplus.widgets.shared.calibration_state import calibration_lines, lag_button
-from napari_elsplus.widgets.shared.choosing import preset_label
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.files import file_to_open, file_to_save
+from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write
 from napari_elsplus.widgets.shared.panel import (
     button_row,
     form_layout,
@@ -35,34 +32,20 @@ from napari_elsplus.widgets.shared.panel import (
 )
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import RequestBar
+from napari_elsplus.widgets.shared.rig_choice import preset_label, remember_rig, remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import napari.viewer
 
     from napari_elsplus.acquisition.link.client import EngineClient
 
-SECTION: Final = "rig"
 STATUS_MS: Final = 200
 """Interval of the status text, milliseconds; chosen, faster than it can be read."""
 MAX_TYPED: Final = 9999
 """Largest slit width, rate and gain that can be typed; chosen, beyond any camera's, which states its limit."""
-
-
-def remembered_rig() -> str:
-    """Return the name of the rig used last; the simulated rig at first."""
-    name = recall(SECTION).get("name", SIMULATED)
-    return name if name in rig_names() else SIMULATED
-
-
-def remembered_settings() -> Settings:
-    """Return the settings used last."""
-    last = recall(SECTION)
-    chosen = last.get("preset", "240hz")
-    rate = last.get("frame_rate_hz")
-    return Settings(
-        chosen if chosen in PRESETS else "240hz", int(last.get("slit_rows", 3)), rate, float(last.get("gain_db", 0.0))
-    )
 
 
 class RigPanel(EnginePanel):
@@ -270,11 +253,7 @@ class RigPanel(EnginePanel):
             self.rig.value = self.connection.rig
 
     def _remember(self) -> None:
-        settings = self.settings
-        remember(
-            SECTION, name=self.rig.value, preset=settings.preset, slit_rows=settings.slit_rows,
-            frame_rate_hz=settings.frame_rate_hz, gain_db=settings.gain_db,
-        )  # fmt: skip
+        remember_rig(self.rig.value, self.settings)
 
     def _optics(self) -> str:
         optics, rows = preset(self.preset.value).optics, self.slit_rows.value
@@ -314,9 +293,8 @@ class RigPanel(EnginePanel):
         return "calibrate in the Calibration tab, or press Load calibration..."
 
     def _ask_for_file(self) -> None:
-        if path := file_to_open(self, "Calibration", dialog_filter(CALIBRATION)):
-            self.load(Path(path))
+        choose_file_to_read(self, "Calibration", dialog_filter(CALIBRATION), self.load)
 
     def _ask_where_to_save(self) -> None:
-        if path := file_to_save(self, "Save the calibration", "calibration.json", dialog_filter(CALIBRATION)):
-            self.save(Path(path))
+        kinds = dialog_filter(CALIBRATION)
+        choose_file_to_write(self, "Save the calibration", "calibration.json", kinds, self.save)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
@@ -17,14 +16,13 @@ from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.track import probe_speed
-from napari_elsplus.widgets.live.rig import remembered_rig, remembered_settings
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.mosaic.status import mosaic_text, track_text
 from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
-from napari_elsplus.widgets.shared.files import file_to_open, file_to_save, note_folder
+from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
@@ -144,13 +142,7 @@ class MosaicPanel(EnginePanel):
             self.requests.follow(client.track(None))
         elif self._may_replace("The new live mosaic"):
             self._following_live = True
-            self.note_start()
-            client = self.connection.client  # it may have ended while the question was displayed
-            if client is not None:
-                self._start_live(client)
-            else:
-                rig, settings = remembered_rig(), remembered_settings()
-                self.requests.run(lambda: self.connection.connect(rig, settings), self._start_live)
+            self.prepare_rig(self._start_live)
         self.refresh()
 
     def tick(self) -> None:
@@ -268,9 +260,7 @@ class MosaicPanel(EnginePanel):
         super().cleanup()
 
     def _start_live(self, client: EngineClient) -> None:
-        if client.calibration is None and is_simulated(self.connection.rig):
-            self.requests.follow(client.use_simulated_calibration(), lambda _: self._start_live(client))
-        elif not client.status.live:
+        if not client.status.live:
             self._track(client, lambda _: self.start_stream(client))  # kernels are compiled before the first frame
         else:
             self._track(client)
@@ -371,15 +361,15 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def _ask_for_file(self) -> None:
-        if path := file_to_open(self, "Recording", recordings_filter()):
-            self.viewer.open(path, plugin="napari-elsplus")
+        choose_file_to_read(
+            self, "Recording", recordings_filter(), lambda path: self.viewer.open(path, plugin="napari-elsplus")
+        )
 
     def _ask_where_to_save(self) -> None:
         if not self.form.saving.enabled:
             return
         kinds = dialog_filter(TIFF, writing=True)
-        if path := file_to_save(self, "Save mosaics", "mosaic.ome.tif", kinds):
-            self.save(Path(path))
+        choose_file_to_write(self, "Save mosaics", "mosaic.ome.tif", kinds, self.save)
 
 
 def _report_if_none(undone: bool) -> None:

@@ -10,7 +10,6 @@ from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.optics import preset
 
 LIVE: Final = "live"
 """Prefix of the metadata kind of layers that show live images."""
@@ -141,10 +140,3 @@ def frames_of(layer: Layer | None) -> tuple[Stack, NDArray[np.floating] | None]:
         name = "no layer is selected" if layer is None else f"{layer.name} is no layer of raw frames"
         raise InputError(name, "select one; File > Open Sample > ELS+ endomicroscopy has a calibration set")
     return facts["stack"], facts.get("volts")
-
-
-def preset_label(name: str) -> str:
-    """Return the display name of a preset: rate, magnification, objective."""
-    magnification = {"120hz": "high", "240hz": "low"}.get(name)
-    rate = name.replace("hz", " Hz")
-    return rate if magnification is None else f"{rate}, {magnification} magnification ({preset(name).objective})"

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from napari.utils.notifications import show_info
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from napari_elsplus.widgets.shared.calibration_state import measured_lag
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
+from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 
 if TYPE_CHECKING:
@@ -55,6 +58,27 @@ class EnginePanel(Panel):
         """Return a question if closing the window would lose a result; else an empty string."""
         return ""
 
+    def prepare_rig(self, then: Callable[[EngineClient], None]) -> None:
+        """Connect to the rig used last unless one is connected, and give it a calibration; then go on.
+
+        Parameters
+        ----------
+        then : callable
+            Called with the client. It starts the stream by :meth:`start_stream`.
+
+        Notes
+        -----
+        A rig that has no calibration gets the active one (:meth:`activate_calibration`); the simulated rig is
+        calibrated where that is missing, too.
+        """
+        self._parks = self.connection.parks
+        client = self.connection.client
+        if client is not None:
+            self._calibrate_and(then, client)
+            return
+        rig, settings = remembered_rig(), remembered_settings()
+        self.requests.run(lambda: self.connection.connect(rig, settings), partial(self._calibrate_and, then))
+
     def activate_calibration(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
         """Apply the active calibration to a rig that has none, then go on, whether the rig accepts it or not.
 
@@ -78,12 +102,17 @@ class EnginePanel(Panel):
         else:
             self.requests.follow(self.connection.apply(active, path), lambda _: then(), failed=then)
 
-    def note_start(self) -> None:
-        """Note that the user starts the stream, which :meth:`start_stream` does once all is ready for it."""
-        self._parks = self.connection.parks
+    def _calibrate_and(self, then: Callable[[EngineClient], None], client: EngineClient) -> None:
+        def go_on() -> None:
+            if client.calibration is None and is_simulated(self.connection.rig):
+                self.requests.follow(client.use_simulated_calibration(), lambda _: then(client))
+            else:
+                then(client)
+
+        self.activate_calibration(client, go_on)
 
     def start_stream(self, client: EngineClient) -> None:
-        """Start the stream of a client, unless the galvo was parked since :meth:`note_start`."""
+        """Start the stream of a client, unless the galvo was parked since :meth:`prepare_rig`."""
         if self._parks == self.connection.parks:
             self.requests.follow(client.start())
         else:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from qtpy.QtWidgets import QFileDialog
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from qtpy.QtWidgets import QWidget
 
 _last: Path | None = None
@@ -20,8 +22,8 @@ def note_folder(path: Path | None) -> None:
         _last = path if path.is_dir() else path.parent
 
 
-def file_to_save(parent: QWidget, title: str, name: str, kinds: str) -> str:
-    """Return the file that the user chooses to write; empty if none was chosen.
+def choose_file_to_write(parent: QWidget, title: str, name: str, kinds: str, act: Callable[[Path], object]) -> None:
+    """Act on the file that the user chooses to write, if one was chosen.
 
     Parameters
     ----------
@@ -33,40 +35,28 @@ def file_to_save(parent: QWidget, title: str, name: str, kinds: str) -> str:
         Suggested name.
     kinds : str
         Filter of the dialog.
+    act : callable
+        Called with the path.
     """
     suggested = name if _last is None else str(_last / name)
-    return _noted(QFileDialog.getSaveFileName(parent, title, suggested, kinds)[0])
+    _act(QFileDialog.getSaveFileName(parent, title, suggested, kinds)[0], act)
 
 
-def file_to_open(parent: QWidget, title: str, kinds: str) -> str:
-    """Return the file that the user chooses to read; empty if none was chosen.
-
-    Parameters
-    ----------
-    parent : QWidget
-        The panel.
-    title : str
-        Of the dialog.
-    kinds : str
-        Filter of the dialog.
-    """
-    return _noted(QFileDialog.getOpenFileName(parent, title, "" if _last is None else str(_last), kinds)[0])
+def choose_file_to_read(parent: QWidget, title: str, kinds: str, act: Callable[[Path], object]) -> None:
+    """Act on the file that the user chooses to read, if one was chosen; parameters as of `choose_file_to_write`."""
+    _act(QFileDialog.getOpenFileName(parent, title, _start(), kinds)[0], act)
 
 
-def folder_to_open(parent: QWidget, title: str) -> str:
-    """Return the folder that the user chooses; empty if none was chosen.
-
-    Parameters
-    ----------
-    parent : QWidget
-        The panel.
-    title : str
-        Of the dialog.
-    """
-    return _noted(QFileDialog.getExistingDirectory(parent, title, "" if _last is None else str(_last)))
+def choose_folder(parent: QWidget, title: str, act: Callable[[Path], object]) -> None:
+    """Act on the folder that the user chooses, if one was chosen; parameters as of `choose_file_to_write`."""
+    _act(QFileDialog.getExistingDirectory(parent, title, _start()), act)
 
 
-def _noted(path: str) -> str:
-    if path:
-        note_folder(Path(path))
-    return path
+def _start() -> str:
+    return "" if _last is None else str(_last)
+
+
+def _act(chosen: str, act: Callable[[Path], object]) -> None:
+    if chosen:
+        note_folder(Path(chosen))
+        act(Path(chosen))
