@@ -14,7 +14,6 @@ import tifffile
 import napari_elsplus as elsplus
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState
@@ -72,7 +71,7 @@ def test_the_engine_measures_it_in_its_own_process(added):
     with EngineClient() as client:
         client.open("simulated").result(60)
         client.configure(Settings("240hz")).result(60)
-        found = GuidedCalibration(client).measure(KEY, Draft())
+        found = client.measure_step(find_step(KEY), Draft()).result()
     assert found.frames == added.frames
     assert 0 < found.uncertainty_dn < found.sigma_dn < 10
 

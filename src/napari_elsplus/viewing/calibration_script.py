@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 IMPORTS: Final = (
     "from napari_elsplus.acquisition.engine.status import Settings",
     "from napari_elsplus.acquisition.link.client import EngineClient",
-    "from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration",
     "from napari_elsplus.io import read_volts",
     "from napari_elsplus.processing.calibration.draft import Draft, setup_of",
     "from napari_elsplus.processing.calibration.step import StepInputs",
@@ -105,9 +104,10 @@ def _step(source: MeasurementSource) -> list[str]:
     step = f"find_step({source.step!r})"
     if source.path is None:
         return [
-            f"step, guided = {step}, GuidedCalibration(client, {source.voltages})",
+            f"step = {step}",
             'input(f"{step.preparation} Then press Enter.")',
-            "draft = step.accept(draft, guided.measure(step.key, draft), guided.setup())",
+            f"found = client.measure_step(step, draft, {source.voltages}).result()",
+            "draft = step.accept(draft, found, client.setup().result())",
         ]
     volts = "None" if source.volts is None else f"read_volts({str(source.volts)!r})"
     return [

@@ -211,13 +211,13 @@ class Commands:
         return engine_setup(session.engine)
 
     @command(Turn.PROCEDURE, while_recording=False)
-    def measure_step(session: Session, step: CalibrationStep[Any], draft: Draft, voltages: int) -> Any:
-        """Measure a calibration step with what a draft contains, a sweep with so many voltages."""
-        from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
+    def measure_step(session: Session, step: CalibrationStep[Any], draft: Draft, voltages: int | None = None) -> Any:
+        """Measure a calibration step with what a draft contains, a sweep with so many voltages (400 by default)."""
+        from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, LiveMeasurement
         from napari_elsplus.acquisition.calibrating.simulated import target_placed
 
         with target_placed(session.rig, step.target):
-            return LiveMeasurement(session.engine, voltages, session.watch).measure(step, draft)
+            return LiveMeasurement(session.engine, voltages or SWEEP_VOLTAGES, session.watch).measure(step, draft)
 
     @command(Turn.PROCEDURE, while_recording=False)
     def follow_offset(session: Session, draft: Draft) -> None:

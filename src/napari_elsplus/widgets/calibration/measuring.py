@@ -6,6 +6,7 @@ from dataclasses import replace
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, Final
 
+from napari_elsplus.acquisition.link.offset_following import follow_offset
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.draft import setup_of
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
+    from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.processing.images.sectioning import Frames
@@ -32,28 +33,32 @@ READING_INTERVAL_S: Final = 0.04
 """Between displayed offsets; chosen: 25 a second look continuous."""
 
 
-def measure_live(guided: GuidedCalibration, draft: Draft, target_um: float, source: MeasurementSource) -> ShownResult:
+def measure_live(client: EngineClient, draft: Draft, target_um: float, source: MeasurementSource) -> ShownResult:
     """Measure a step on the rig.
 
     Parameters
     ----------
-    guided : GuidedCalibration
-        On the rig.
+    client : EngineClient
+        Of the connected rig.
     draft : Draft
         Results accepted so far.
     target_um : float
         Wanted slit offset in micrometres.
     source : MeasurementSource
-        Names the step.
+        Names the step, and the number of voltages of a sweep.
 
     Raises
     ------
-    ElsPlusError
-        As :meth:`~napari_elsplus.acquisition.link.guided_calibration.GuidedCalibration.measure`.
+    MeasurementError
+        If the step finds nothing.
+    InputError
+        If it was cancelled.
+    DeviceError
+        If camera or galvo fail.
     """
-    setup = guided.setup()
-    found = guided.measure(source.step, draft)
-    return ShownResult(found, setup, picture(find_step(source.step), found, draft, setup, target_um), source)
+    step, setup = find_step(source.step), client.setup().result()
+    found = client.measure_step(step, draft, source.voltages).result()
+    return ShownResult(found, setup, picture(step, found, draft, setup, target_um), source)
 
 
 def recorded_source(step: CalibrationStep[Any], path: Path, volts: Path | None) -> MeasurementSource:
@@ -152,8 +157,8 @@ class OffsetFollowing:
 
     Parameters
     ----------
-    guided : GuidedCalibration
-        On the rig.
+    client : EngineClient
+        Of the connected rig.
     draft : Draft
         Results accepted so far.
     target_um : float
@@ -169,8 +174,8 @@ class OffsetFollowing:
         Number of results that :meth:`newest` has returned.
     """
 
-    def __init__(self, guided: GuidedCalibration, draft: Draft, target_um: float, source: MeasurementSource) -> None:
-        self._guided, self._draft, self._source = guided, draft, source
+    def __init__(self, client: EngineClient, draft: Draft, target_um: float, source: MeasurementSource) -> None:
+        self._client, self._draft, self._source = client, draft, source
         self._running = True
         self._newest: ShownResult | str | None = None
         self.target_um = target_um
@@ -184,8 +189,8 @@ class OffsetFollowing:
         DeviceError
             If camera or galvo fail.
         """
-        setup, begun_s = self._guided.setup(), perf_counter()
-        for count, found in self._guided.follow_offset(self._draft, lambda: self._running):
+        setup, begun_s = self._client.setup().result(), perf_counter()
+        for count, found in follow_offset(self._client, self._draft, lambda: self._running):
             if count == 1:
                 begun_s = perf_counter()
             if isinstance(found, MeasurementError):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from napari.utils.notifications import show_info
 
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.link.guided_calibration import GuidedCalibration
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.instrument.optics import BUNDLE_UM
@@ -107,7 +106,7 @@ class CalibrationPanel(EnginePanel):
             rig, settings = self.form.rig.currentText(), Settings(self.form.preset.currentData())
 
             def connect() -> Setup:
-                return GuidedCalibration(self.connection.connect(rig, settings)).setup()
+                return self.connection.connect(rig, settings).setup().result()
 
             self.work.begin(0, connect, self._connected)
             remember_rig(rig, replace(remembered_settings(), preset=settings.preset))
@@ -128,8 +127,8 @@ class CalibrationPanel(EnginePanel):
     def measure(self) -> None:
         """Measure the step live, in a thread of its own."""
         with notify_errors(self):
-            guided = GuidedCalibration(self.connection.require(), self.form.voltages.value())
-            measured = partial(measuring.measure_live, guided, self.draft, self.form.target_um, self._live_source())
+            client, target_um = self.connection.require(), self.form.target_um
+            measured = partial(measuring.measure_live, client, self.draft, target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(measured), self._found)
         self.refresh()
 
@@ -139,8 +138,8 @@ class CalibrationPanel(EnginePanel):
             self._following.stop()
             return
         with notify_errors(self):
-            guided = GuidedCalibration(self.connection.require())
-            self._following = measuring.OffsetFollowing(guided, self.draft, self.form.target_um, self._live_source())
+            client, target_um = self.connection.require(), self.form.target_um
+            self._following = measuring.OffsetFollowing(client, self.draft, target_um, self._live_source())
             self.work.begin(0, self._suppressing_cancellation(self._following.run), lambda _: None)
         self.refresh()
 

@@ -89,7 +89,7 @@ def measured_lag(client: EngineClient, calibration: Calibration) -> Callable[[],
     def measure() -> Calibration:
         draft = Draft(calibration, bundle_um=None)
         setup = client.setup().result()
-        found = client.measure_step(LAG, draft, 0).result()
+        found = client.measure_step(LAG, draft).result()
         return LAG.accept(draft, found, setup).calibration
 
     return measure
