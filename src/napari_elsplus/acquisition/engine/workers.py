@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.streaming.faults import FaultLog
-    from napari_elsplus.acquisition.streaming.ring import Ring, Stamp
+    from napari_elsplus.acquisition.streaming.ring import Ring, Slot, Stamp
     from napari_elsplus.acquisition.streaming.stream import FrameStream
     from napari_elsplus.acquisition.streaming.tally import Tally
-    from napari_elsplus.hardware.protocols import Camera
+    from napari_elsplus.hardware.protocols import Camera, FrameInfo
 
 DISPLAY_HZ: Final = 60.0
 """Rate of the display; chosen: that of a screen."""
@@ -86,6 +86,12 @@ class CameraWorker(Thread):
         self.received = 0
         self._settling = settling
         self._stopping = Event()
+        self._frame_period_s = self._readout_s = 0.0
+        self._started_s = self._last_s = 0.0
+        self._start_takes_s = 0.0
+        self._lost_before: dict[str, int] = {}
+        self._next_number: int | None = None
+        self._missing = 0
 
     def stop(self) -> None:
         """End after the frame that is being read."""
@@ -102,60 +108,74 @@ class CameraWorker(Thread):
             self._stream.end()
 
     def _read(self) -> None:
-        camera, stream, tally = self._camera, self._stream, self._tally
-        started_s = last_s = time.perf_counter()
-        frame_period_s = camera.line_periods_per_frame * camera.line_period_s
-        readout_s = camera.frame_shape[0] * camera.line_period_s
-        start_takes_s = 0.0
-        settled = False
-        before: dict[str, int] = {}
-        expected: int | None = None
-        missing = 0
-        clock = EvenClock(frame_period_s)
+        camera, stream = self._camera, self._stream
+        self._started_s = self._last_s = time.perf_counter()
+        self._frame_period_s = camera.line_periods_per_frame * camera.line_period_s
+        self._readout_s = camera.frame_shape[0] * camera.line_period_s
+        clock, settled = EvenClock(self._frame_period_s), False
         while not self._stopping.is_set():
             slot = stream.acquire()
-            try:
-                info = camera.read_into(slot.arrays["raw"], _POLL_S)
-            except TimeoutError:
-                if time.perf_counter() - last_s > _NO_FRAME_LIMIT_S:
-                    raise DeviceError(
-                        f"the camera has sent no frame for {_NO_FRAME_LIMIT_S:g} s",
-                        "check its cable, then connect again",
-                    ) from None
+            info = self._received_into(slot)
+            if info is None:
                 continue
-            last_s = info.received_s
             readout_start_s = clock.readout_start_s(info)
             if clock.jump_s:
-                self._faults.add(
-                    "clock", DeviceError("the clock of the camera jumped", "times follow its frame numbers")
-                )
+                jumped = DeviceError("the clock of the camera jumped", "times follow its frame numbers")
+                self._faults.add("clock", jumped)
             self.received = info.frame_number + 1
-            if self.camera_clock_s == -inf:
-                measured_s = camera.clock_zero_s if isinstance(camera, HasClock) else None
-                start_takes_s = _START_TAKES_S if measured_s is None else 0.0
-                first_exposed_s = readout_start_s - info.frame_number * frame_period_s
-                guessed_s = started_s - start_takes_s - first_exposed_s
-                self.camera_clock_s = guessed_s if measured_s is None else measured_s
-            latest_s = info.received_s - readout_start_s - readout_s  # no frame comes before it was read
-            self.camera_clock_s = min(self.camera_clock_s, latest_s)
+            self._relate_clocks(info, readout_start_s)
             if not settled:
-                late_s = info.received_s - (readout_start_s + self.camera_clock_s) - start_takes_s - frame_period_s
-                settled = late_s < frame_period_s or info.received_s - started_s > _MAX_SETTLING_S
-                settled = settled and info.frame_number >= self._settling
-                before = dict(camera.dropped)  # frames lost before the first one used do not count
+                settled = self._settles_with(info, readout_start_s)
+                self._lost_before = dict(camera.dropped)  # frames lost before the first one used do not count
                 if not settled:
                     continue
-            if expected is not None and info.frame_number > expected:
-                missing += info.frame_number - expected
-            expected = info.frame_number + 1
-            dropped = camera.dropped
-            if missing or dropped != before:
-                known = {cause: count - before.get(cause, 0) for cause, count in dropped.items()}
-                tally.lost_by_camera(known, missing)
-            tally.arrived(info.received_s)
+            self._count_losses(info.frame_number)
+            self._tally.arrived(info.received_s)
             stream.finalize(  # last: it wakes the threads that wait for the frame
                 slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=readout_start_s
             )
+
+    def _received_into(self, slot: Slot) -> FrameInfo | None:
+        """Read the next frame into a slot; None if none comes shortly, a DeviceError if none comes any more."""
+        try:
+            info = self._camera.read_into(slot.arrays["raw"], _POLL_S)
+        except TimeoutError:
+            if time.perf_counter() - self._last_s > _NO_FRAME_LIMIT_S:
+                raise DeviceError(
+                    f"the camera has sent no frame for {_NO_FRAME_LIMIT_S:g} s", "check its cable, then connect again"
+                ) from None
+            return None
+        self._last_s = info.received_s
+        return info
+
+    def _relate_clocks(self, info: FrameInfo, readout_start_s: float) -> None:
+        """Estimate where zero of the camera's clock lies on the computer's, by the first frame and by later ones."""
+        if self.camera_clock_s == -inf:
+            measured_s = self._camera.clock_zero_s if isinstance(self._camera, HasClock) else None
+            if measured_s is None:
+                self._start_takes_s = _START_TAKES_S
+                first_exposed_s = readout_start_s - info.frame_number * self._frame_period_s
+                measured_s = self._started_s - _START_TAKES_S - first_exposed_s
+            self.camera_clock_s = measured_s
+        latest_s = info.received_s - readout_start_s - self._readout_s  # no frame comes before it was read
+        self.camera_clock_s = min(self.camera_clock_s, latest_s)
+
+    def _settles_with(self, info: FrameInfo, readout_start_s: float) -> bool:
+        """Return True if the stream may begin with a frame: it is valid, and in time unless the computer stays busy."""
+        received_s = info.received_s
+        due_s = readout_start_s + self.camera_clock_s + self._start_takes_s + self._frame_period_s
+        in_time = received_s - due_s < self._frame_period_s or received_s - self._started_s > _MAX_SETTLING_S
+        return in_time and info.frame_number >= self._settling
+
+    def _count_losses(self, frame_number: int) -> None:
+        """Count the frames that the camera lost since the first one used, by its own counts and by its numbers."""
+        if self._next_number is not None:
+            self._missing += max(frame_number - self._next_number, 0)
+        self._next_number = frame_number + 1
+        dropped = self._camera.dropped
+        if self._missing or dropped != self._lost_before:
+            known = {cause: count - self._lost_before.get(cause, 0) for cause, count in dropped.items()}
+            self._tally.lost_by_camera(known, self._missing)
 
 
 class ProcessingWorker(Thread):
