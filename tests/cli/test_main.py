@@ -12,7 +12,7 @@ from rich.console import Console
 
 import napari_elsplus
 from napari_elsplus.cli import COMMANDS, elsplus, main
-from napari_elsplus.cli.options import Display
+from napari_elsplus.cli.options import ConsoleDisplay
 from napari_elsplus.cli.rig import window
 from napari_elsplus.diagnosis.machine import Screen
 from napari_elsplus.errors import InputError
@@ -123,7 +123,7 @@ def test_wrong_options_are_refused_before_numerics_are_imported() -> None:
 @pytest.mark.parametrize("terminal", [True, False])
 def test_a_kernel_that_is_compiled_is_named_on_a_terminal(terminal: bool) -> None:
     console = Console(file=StringIO(), force_terminal=terminal, width=120)
-    display = Display(console)
+    display = ConsoleDisplay(console)
     display.compiling("before")
     for _ in display.progress(range(2), "Tracking"):
         display.compiling("align")
@@ -135,7 +135,7 @@ def test_a_kernel_that_is_compiled_is_named_on_a_terminal(terminal: bool) -> Non
 
 def test_a_progress_bar_displays_steps_in_a_second() -> None:
     console = Console(file=StringIO(), force_terminal=True, width=120)
-    for _ in Display(console).progress(range(50), "els"):
+    for _ in ConsoleDisplay(console).progress(range(50), "els"):
         sleep(0.01)
     rates = [float(rate) for rate in re.findall(r"([\d.]+)/s", console.file.getvalue())]
     assert rates

@@ -224,7 +224,7 @@ class _Rate(ProgressColumn):
         return Text("" if speed is None else f"{speed:.0f}/s" if speed >= 10 else f"{speed:.1f}/s")
 
 
-class Display:
+class ConsoleDisplay:
     """Progress bars on a console, and beside them the kernel that is being compiled; nothing without a terminal.
 
     Parameters
@@ -259,9 +259,9 @@ class Display:
 
 
 @cache
-def display() -> Display:
+def display() -> ConsoleDisplay:
     """Return the display on standard error."""
-    return Display(Console(stderr=True))
+    return ConsoleDisplay(Console(stderr=True))
 
 
 def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:

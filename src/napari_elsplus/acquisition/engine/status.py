@@ -66,7 +66,7 @@ class RecordingState:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class ProcedureProgress:
     """Progress of a procedure.
 
     Parameters
@@ -80,6 +80,9 @@ class Progress:
     step: str
     done: int
     total: int
+
+    def __str__(self) -> str:
+        return f"{self.step}, {self.done} of {self.total}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,7 @@ class Status:
         Sections of the calibration that are stale, with the reason.
     disagreement : str
         In which way the newest scanned frames contradict the calibration, with the remedy; empty if they do not.
-    progress : Progress, optional
+    progress : ProcedureProgress, optional
         Of the procedure that runs.
     track : TrackState, optional
         The live track and mosaic, while there is one.
@@ -156,7 +159,7 @@ class Status:
     faults: tuple[Fault, ...] = ()
     stale: Mapping[str, str] = field(default_factory=dict)
     disagreement: str = ""
-    progress: Progress | None = None
+    progress: ProcedureProgress | None = None
     track: TrackState | None = None
 
     def report(self) -> dict[str, Any]:

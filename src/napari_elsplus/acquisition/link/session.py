@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
-from napari_elsplus.acquisition.engine.status import Progress, Status
+from napari_elsplus.acquisition.engine.status import ProcedureProgress, Status
 from napari_elsplus.acquisition.link.newest import Newest
 from napari_elsplus.acquisition.link.supervision import Supervision
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
@@ -47,7 +47,7 @@ class Session:
         self._open_rig = open_rig
         self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
         self._cancelled = Event()
-        self._progress: Progress | None = None
+        self._progress: ProcedureProgress | None = None
         self._compiling = ""
         self._left = ParkState()
         self.supervision = Supervision(self._secure)
@@ -138,7 +138,7 @@ class Session:
         engine, before = self.engine, self.engine.calibration
         with engine.operations.alone(name, long=True, given_s=given_s):
             self._cancelled.clear()
-            self._progress = Progress(name, 0, 1)
+            self._progress = ProcedureProgress(name, 0, 1)
             done = False
             try:
                 yield
@@ -150,7 +150,7 @@ class Session:
 
     def report_progress(self, step: str, done: float, total: float) -> None:
         """Put a step and its progress in whole seconds, `done` of `total`, into the status."""
-        self._progress = Progress(step, int(done), max(round(total), 1))
+        self._progress = ProcedureProgress(step, int(done), max(round(total), 1))
 
     def report_compilation(self, kernel: str) -> None:
         """Put the name of a `kernel` that is being compiled into the status; an empty one at its end."""
@@ -164,7 +164,7 @@ class Session:
             for done, number in enumerate(every):
                 if self._cancelled.is_set():
                     raise InputError(f"the {step} was cancelled", "start it again when you like")
-                self._progress = Progress(step, done, len(every))
+                self._progress = ProcedureProgress(step, done, len(every))
                 yield number
 
         return counted

@@ -13,7 +13,7 @@ import numpy as np
 
 from napari_elsplus.acquisition.mosaic.insertion import ElsaInsertion, LiveInsertion, TrackedFrame
 from napari_elsplus.acquisition.mosaic.loop_closure import LoopClosureThread, NewNode
-from napari_elsplus.acquisition.mosaic.path import Path
+from napari_elsplus.acquisition.mosaic.tracked_path import TrackedPath
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.images.sectioning import Mode
@@ -135,7 +135,7 @@ class LiveTrack:
             mode: self._new_insertion(calibration, frame_shape, mode, image) for image, mode in enumerate(plan.modes)
         }
         self.pipeline = self._insertions[plan.tracked].pipeline
-        self._path = Path()
+        self._path = TrackedPath()
         self._corrections = Corrections()
         self._removals = 0
         self._selector = KeyframeSelector(self.pipeline.grid)

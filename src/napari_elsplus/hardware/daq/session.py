@@ -15,7 +15,7 @@ CALL_TIMEOUT_S: Final = 2.0
 """Seconds for one call to a card elsewhere; chosen: a hundred times a call's time on a busy computer."""
 
 
-class Session:
+class CardSession:
     """Makes tasks on a card.
 
     Parameters
@@ -45,7 +45,7 @@ class Session:
             self._options.grpc_channel.close()
 
 
-def open_session(address: str) -> Session:
+def open_session(address: str) -> CardSession:
     """Return the session with a card.
 
     Parameters
@@ -54,11 +54,11 @@ def open_session(address: str) -> Session:
         ``host:port`` of a gRPC device server; empty: the driver on this computer.
     """
     if not address:
-        return Session(None)
+        return CardSession(None)
     import grpc
     from nidaqmx import GrpcSessionOptions
 
-    return Session(GrpcSessionOptions(TimeLimitedChannel(grpc.insecure_channel(address)), ""))
+    return CardSession(GrpcSessionOptions(TimeLimitedChannel(grpc.insecure_channel(address)), ""))
 
 
 class TimeLimitedChannel:

@@ -25,7 +25,7 @@ from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
 from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.hints import explanation, next_action
 from napari_elsplus.widgets.calibration.history import HistoryDialog
-from napari_elsplus.widgets.calibration.session import Session, ShownResult
+from napari_elsplus.widgets.calibration.session import CalibrationSession, ShownResult
 from napari_elsplus.widgets.calibration.sharing import Sharing
 from napari_elsplus.widgets.shared.choosing import frames_of
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
@@ -68,7 +68,7 @@ class CalibrationPanel(EnginePanel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
-        self.session = Session()
+        self.session = CalibrationSession()
         self.key = OFFSET.key
         self._setup: Setup | None = None
         self._following: measuring.OffsetFollowing | None = None

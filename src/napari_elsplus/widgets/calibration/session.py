@@ -24,7 +24,7 @@ class ShownResult(NamedTuple):
     source: MeasurementSource
 
 
-class Session:
+class CalibrationSession:
     """A calibration in the making.
 
     Attributes

@@ -91,7 +91,7 @@ def rig_line(rig: str | None, status: Status | None) -> str:
     if rig is None or status is None:
         return "<b>no rig connected</b>"
     if status.progress is not None:
-        doing = f"calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
+        doing = f"calibrating: {status.progress}"
     elif status.live:
         doing = f"live, camera {status.camera_hz:.0f} Hz" if isfinite(status.camera_hz) else "live"
     else:

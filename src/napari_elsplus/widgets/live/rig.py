@@ -272,7 +272,7 @@ class RigPanel(EnginePanel):
             return doing if busy else f"Not connected. {next_hint('press Connect.')}"
         status = client.status
         if status.progress is not None:
-            return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
+            return f"Calibrating: {status.progress}"
         lines = [f"<b>{self.connection.rig}</b> is connected, {'live' if status.live else 'idle'}."]
         lines += calibration_lines(self.connection.calibration, self.connection.calibration_file)
         lines += stale_lines(status)

@@ -46,7 +46,7 @@ def status_text(
     if status is None:
         return "Connecting..." if busy else next_hint("press Start; it connects to the rig.")
     if status.progress is not None:
-        return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
+        return f"Calibrating: {status.progress}"
     if not status.live:
         begun = ["Starting..." if busy else f"Stopped. {next_hint('press Start.')}", *_recorded(status)]
         return "<br>".join([*begun, *calibration_lines(calibration, calibration_file)])

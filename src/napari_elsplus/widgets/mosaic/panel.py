@@ -331,7 +331,7 @@ class MosaicPanel(EnginePanel):
         status = None if client is None else client.status
         calibration = self.connection.calibration
         if status is not None and status.progress is not None:
-            return f"Calibrating: {status.progress.step}, {status.progress.done} of {status.progress.total}"
+            return f"Calibrating: {status.progress}"
         if self._shown is None or drawing is None:
             if status is not None and status.compiling:
                 return compilation_remark(status.compiling).capitalize()

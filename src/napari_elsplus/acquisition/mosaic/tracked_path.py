@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class Path:
+class TrackedPath:
     """Poses of every frame as tracked; lost ones are nan.
 
     Attributes
@@ -22,7 +22,7 @@ class Path:
 
     Examples
     --------
-    >>> path = Path()
+    >>> path = TrackedPath()
     >>> [path.add(0, 1.5 * k, 0.0) for k in range(3)], path.row.tolist()
     ([0, 1, 2], [0.0, 1.5, 3.0])
     """
