@@ -24,18 +24,17 @@ MAX_FRAMES: Final = 600
 """Frames that are tracked for the estimate at most: 2.5 s at 240 Hz; chosen, its standard deviation is reported."""
 
 
-def frame_rate_note(calibration: Calibration | None, times_s: Sequence[float] | NDArray[np.float64] | None) -> str:
+def frame_rate_note(calibration: Calibration, times_s: Sequence[float] | NDArray[np.float64] | None) -> str:
     """Return a message to the user where frames are not as far apart as the calibration's; else an empty one.
 
     Parameters
     ----------
-    calibration : Calibration or None
-        Its timing corrects the rolling shutter; None for finished images.
+    calibration : Calibration
+        Its timing corrects the rolling shutter.
     times_s : sequence of float or None
         (T,) time of each frame, seconds.
     """
-    period_s = None if times_s is None else median_period_s(times_s)
-    expected_s = None if calibration is None else calibration.frame_period_s
+    period_s, expected_s = None if times_s is None else median_period_s(times_s), calibration.frame_period_s
     if period_s is None or expected_s is None or abs(period_s / expected_s - 1) <= MAX_PERIOD_DIFFERENCE:
         return ""
     return (

@@ -184,7 +184,7 @@ def mosaic(
             "mode": "finished" if finished else shown.value,
             "insertion": Insertion(insertion).value,
         },
-        notes + _uneven_light(pipeline) + ((UNLINKED,) if _count_tracked(pipeline) < 2 else ()),
+        notes + notes_on(pipeline),
         (0.0, 0.0) if extent is None else (-float(extent.top), -float(extent.left)),
     )
 
@@ -261,17 +261,13 @@ def _tracked(
     for name, values in (("times", times_s), ("frame numbers", frame_numbers)):
         if values is not None and len(values) != len(raw):
             raise InputError(f"{len(values)} {name} for {len(raw)} frames", "give one for each frame")
-    pairs = RawPairs(raw, mode, frame_numbers)
-    notes = [frame_rate_note(calibration, times_s)]
+    pairs, notes = RawPairs(raw, mode, frame_numbers), list[str]()
     if calibration is None:
         nominal = calibration_of_finished_images(raw)
         pipeline = new_finished_pipeline(raw, nominal, method, insertion, flat=flat)
     else:
-        if tracking_method(method).corrects_rolling_shutter:
-            calibration, note = with_timing(calibration, pairs, mode)
-            notes.append(note)
         rows, cols = raw[0].shape
-        notes.append(agreement_note(raw, calibration))
+        calibration, notes = calibration_to_track_by(raw, calibration, pairs, mode, method, times_s)
         pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
     with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
         skip, add = (pipeline.skip, pipeline.track) if ahead is None else (ahead.skip, ahead.add)
@@ -280,7 +276,50 @@ def _tracked(
             confocal, residual = pairs(index)
             skip(pairs.lost_before(index))
             add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
-    return pipeline, calibration, tuple(note for note in notes if note)
+    return pipeline, calibration, tuple(notes)
+
+
+def calibration_to_track_by(
+    raw: Frames,
+    calibration: Calibration,
+    pairs: RawPairs,
+    mode: Mode,
+    method: str,
+    times_s: Sequence[float] | NDArray[np.float64] | None,
+) -> tuple[Calibration, list[str]]:
+    """Return the calibration with the timing that raw frames are tracked by, and messages to the user.
+
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols).
+    calibration : Calibration
+        As it was given. Line periods per frame that it lacks are estimated if the method needs them.
+    pairs : RawPairs
+        The same frames in the pairs of the mode.
+    mode : Mode
+        Image type to track.
+    method : str
+        Name of the tracking method.
+    times_s : sequence of float or None
+        (T,) time of each frame, seconds.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration is of another rig than the frames.
+    """
+    notes = [frame_rate_note(calibration, times_s), agreement_note(raw, calibration)]
+    if tracking_method(method).corrects_rolling_shutter:
+        calibration, note = with_timing(calibration, pairs, mode)
+        notes.append(note)
+    return calibration, [note for note in notes if note]
+
+
+def notes_on(pipeline: Pipeline) -> tuple[str, ...]:
+    """Return messages to the user on a finished `pipeline`: light that was taken out, and too few tracked frames."""
+    tracked = sum(row.state == TrackingState.TRACKED for row in pipeline.rows)
+    return _uneven_light(pipeline) + ((UNLINKED,) if tracked < 2 else ())
 
 
 def _times_s(raw: Frames, calibration: Calibration | None) -> Sequence[float] | NDArray[np.float64] | None:
@@ -299,7 +338,3 @@ def _uneven_light(pipeline: Pipeline) -> tuple[str, ...]:
 
 def _area_px(canvas: Canvas) -> int:
     return 0 if canvas.extent is None else canvas.extent.shape[0] * canvas.extent.shape[1]
-
-
-def _count_tracked(pipeline: Pipeline) -> int:
-    return sum(row.state == TrackingState.TRACKED for row in pipeline.rows)

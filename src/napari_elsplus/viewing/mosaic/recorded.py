@@ -9,22 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.io import TrackTable
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
 from napari_elsplus.viewing.mosaic.mosaics import MosaicScale, without_last_segment
 from napari_elsplus.viewing.mosaic.track import max_trackable_px_per_frame
 from napari_elsplus.viewing.mosaic.trackable import TrackableFrames
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
-from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
+from napari_elsplus.workflows.mosaicing import calibration_to_track_by, notes_on
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import Canvas
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+    from napari_elsplus.workflows.tracking import Pipeline
 
 
 class StackMosaics:
@@ -152,13 +150,12 @@ class StackMosaics:
 
     def _run(self, progress: ProgressWrapper) -> None:
         if self._field is None:
-            notes = (frame_rate_note(self.calibration, self._times_s), agreement_note(self._frames, self.calibration))
-            self.notes += filter(None, notes)
-        if tracking_method(self.plan.method).corrects_rolling_shutter and self._field is None:
-            self.calibration, note = with_timing(self.calibration, self._pairs, self.plan.tracked)
-            if note:
-                self.notes.append(note)
-                self._lead = self._pipeline(self.plan.tracked)
+            given, plan = self.calibration, self.plan
+            self.calibration, self.notes = calibration_to_track_by(
+                self._frames, given, self._pairs, plan.tracked, plan.method, self._times_s
+            )
+            if self.calibration is not given:
+                self._lead = self._pipeline(plan.tracked)
                 self._followers = {mode: self._pipeline(mode) for mode in self._followers}
         for index in progress(range(len(self._pairs))):
             frame = self._pairs.frame(index)
@@ -167,8 +164,7 @@ class StackMosaics:
             self.rows.append(self._lead.add(raw, frame, self._time_s(frame), raw_residual))
             self._follow(self._followers, self._lead.poses[-1], frame)
         self._refine(progress)
-        if self.rows.counts[TrackingState.TRACKED.value] < 2:
-            self.notes.append(UNLINKED)
+        self.notes += notes_on(self._lead)
 
     def _refine(self, progress: ProgressWrapper) -> None:
         self._shown = self.canvases  # displayed until the re-rendered ones are complete
