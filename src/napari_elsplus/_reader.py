@@ -16,6 +16,7 @@ from napari_elsplus.io.formats.registry import CALIBRATION
 from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
+from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -98,7 +99,7 @@ def _adopt_later(viewer: napari.Viewer, layers: list[Layer]) -> None:
         return
     reference = tuple(steps["scale"]), tuple(steps["units"])
     for layer in viewer.layers:
-        if layer.ndim != 3 or "elsplus" not in layer.metadata:
+        if layer.ndim != 3 or PROVENANCE not in layer.metadata:
             continue
         words = {name: getattr(layer, name) for name in ("scale", "translate", "units", "metadata")}
         placed, adopted = adopt_axes(words, reference)
@@ -121,7 +122,7 @@ def _show_depth(viewer: napari.Viewer) -> None:
 def _update_depth(viewer: napari.Viewer, _event: Any = None, *, name: str) -> None:
     overlay, text = viewer.canvas.overlays.text, ""
     for layer in viewer.layers:
-        stack = layer.metadata.get("elsplus", {}).get("stack")
+        stack = provenance_of(layer.metadata).get("stack")
         if layer.visible and stack is not None and stack.depth_um is not None and layer.ndim == 3:
             plane = round((viewer.dims.point[0] - layer.translate[0]) / layer.scale[0])
             text = f"depth {stack.depth_um[min(max(plane, 0), len(stack.depth_um) - 1)]:.1f} µm"

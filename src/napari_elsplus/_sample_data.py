@@ -13,6 +13,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.axial import simulated_scan
 from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side, titles_above
 from napari_elsplus.viewing.lazy import LazyPlanes
+from napari_elsplus.viewing.provenance import PROVENANCE
 from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.simulated import simulate_calibration, simulate_recording
 
@@ -51,7 +52,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
         layer[1]["name"] = f"calibration {name}"
         layer[1]["visible"] = name == "distal light"
         if name == "sweep":
-            layer[1]["metadata"]["elsplus"]["volts"] = taken.volts
+            layer[1]["metadata"][PROVENANCE]["volts"] = taken.volts
         layers.append(layer)
     return layers
 

@@ -13,6 +13,7 @@ from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_im
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
+from napari_elsplus.viewing.provenance import provenance_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -46,7 +47,7 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
         If the layer is in colour or has more dimensions, or no format writes the suffix.
     """
     image = _grey(data, attributes)
-    provenance = _provenance_of(attributes)
+    provenance = provenance_of(attributes.get("metadata"))
     calibration: Calibration | None = provenance.get("calibration")
     notes = _notes(provenance, attributes)
     step_s, um_per_px = _steps(attributes, image.ndim)
@@ -133,11 +134,6 @@ def _in(unit: Any, target: str, value: float) -> float | None:
         return float(pint.Quantity(value, str(unit)).to(target).magnitude)
     except (pint.DimensionalityError, pint.UndefinedUnitError, AttributeError):
         return None
-
-
-def _provenance_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
-    provenance = (attributes.get("metadata") or {}).get("elsplus", {})
-    return provenance if isinstance(provenance, dict) else {}
 
 
 def _notes(provenance: Mapping[str, Any], attributes: Mapping[str, Any]) -> dict[str, Any]:

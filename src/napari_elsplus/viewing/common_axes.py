@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -22,8 +24,8 @@ def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str,
     """
     for layer in layers:
         units = tuple(str(unit) for unit in layer.units)
-        known = layer.ndim == 3 and PIXEL not in units and ADOPTED not in layer.metadata.get("elsplus", ())
-        if known and "elsplus" in layer.metadata:
+        known = layer.ndim == 3 and PIXEL not in units and ADOPTED not in provenance_of(layer.metadata)
+        if known and PROVENANCE in layer.metadata:
             return tuple(float(step) for step in layer.scale), units
     return None
 
@@ -43,9 +45,7 @@ def adopted_axes(metadata: Mapping[str, Any] | None, ndim: int) -> tuple[bool, .
     >>> adopted_axes({"elsplus": {ADOPTED: (False, True, True)}}, 3), adopted_axes({}, 2)
     ((False, True, True), (False, False))
     """
-    facts = (metadata or {}).get("elsplus", {})
-    flags = facts.get(ADOPTED, ()) if isinstance(facts, dict) else ()
-    return ((False,) * ndim + tuple(flags))[-ndim:]
+    return ((False,) * ndim + tuple(provenance_of(metadata).get(ADOPTED, ())))[-ndim:]
 
 
 def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -63,7 +63,7 @@ def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> tuple[dict[str
     axes : dict
         ``scale`` and ``units`` of the layer.
     adopted : dict
-        For the entry ``elsplus`` of its metadata: :data:`ADOPTED`, if the axes are those of another layer.
+        For its provenance: :data:`ADOPTED`, if the axes are those of another layer.
     """
     reference = None if um_per_px else reference_axes(layers)
     if reference is None:
@@ -97,6 +97,6 @@ def adopt_axes(
         if unknown[axis]:
             translate[axis] *= step / scale[axis]
             scale[axis], units[axis] = step, unit
-    facts = {**words["metadata"]["elsplus"], ADOPTED: tuple(unknown)}
+    facts = {**words["metadata"][PROVENANCE], ADOPTED: tuple(unknown)}
     adopted = {"scale": tuple(scale), "translate": tuple(translate), "units": tuple(units)}
-    return {**words, **adopted, "metadata": {**words["metadata"], "elsplus": facts}}, True
+    return {**words, **adopted, "metadata": {**words["metadata"], PROVENANCE: facts}}, True

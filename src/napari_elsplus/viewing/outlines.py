@@ -9,6 +9,7 @@ import numpy as np
 
 from napari_elsplus.io import read_calibration
 from napari_elsplus.viewing.layers import Opened
+from napari_elsplus.viewing.provenance import PROVENANCE
 from napari_elsplus.viewing.stack import space
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def outline_layer(calibration: Calibration, name: str, path: Path | None = None)
         "edge_width": max(1.0, bundle.diameter_px / 150),
         "features": {"view": ["confocal", "residual"]},
         "text": {"string": "{view}", "color": list(OUTLINE_COLOURS), "anchor": "upper_left", "size": 10},
-        "metadata": {"elsplus": {"kind": "calibration", "calibration": calibration, "calibration_path": path}},
+        "metadata": {PROVENANCE: {"kind": "calibration", "calibration": calibration, "calibration_path": path}},
     }
     return _outlines(bundle), attributes, "shapes"
 

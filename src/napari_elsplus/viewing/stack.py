@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from napari_elsplus import __version__
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import Recording, existing_beside, read_depths_um
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.viewing.lazy import LazyPlanes, raw_planes
+from napari_elsplus.viewing.provenance import PROVENANCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -164,13 +165,13 @@ def provenance(stack: Stack, kind: str, calibration: Calibration | None, source:
         The calibration's file.
     """
     return {
-        "elsplus": {
+        PROVENANCE: {
             "kind": kind,
             "stack": stack,
             "path": stack.recording.path if stack.recording is not None else None,
             "calibration": calibration,
             "calibration_path": source,
             "file": dict(stack.metadata),
-            "software": f"napari-elsplus {__version__}",
+            "software": SOFTWARE,
         }
     }

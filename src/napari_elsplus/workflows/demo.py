@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from napari_elsplus import __version__
 from napari_elsplus.io import (
     RecordingWriter,
     open_recording,
@@ -19,6 +18,7 @@ from napari_elsplus.io import (
     write_calibration,
     write_json,
 )
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.simulation import calibration_scenes as bench
@@ -129,7 +129,7 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
     sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics, mosaic_um_per_px)
     save_figure(sheet, folder / "contact_sheet.png", force=force)
     report = {
-        "software": f"napari-elsplus {__version__}",
+        "software": SOFTWARE,
         "rig": f"simulated, {stage.instrument.preset.name}",
         "calibration_errors": asdict(calibration_errors(calibration, stage.instrument)),
         "correlation_with_focal_plane": _sectioning(stage, calibration),

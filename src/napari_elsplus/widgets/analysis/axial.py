@@ -21,6 +21,7 @@ from napari_elsplus.viewing.axial import (
     measure_scan,
     simulated_scan,
 )
+from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, response_curves, table
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
@@ -29,6 +30,7 @@ from napari_elsplus.widgets.shared.choosing import (
     calibrated_frames,
     calibrated_recordings,
     chosen_image,
+    chosen_recording,
     shown_index,
 )
 from napari_elsplus.widgets.shared.panel import (
@@ -80,8 +82,7 @@ class AxialResponsePanel(AnalysisPanel):
     def measure_stack(self) -> None:
         """Measure the selected axial stack in a thread."""
         with notify_errors(self):
-            facts = chosen_image(self.stack, "axial stack").metadata["elsplus"]
-            stack, calibration = facts["stack"], facts["calibration"]
+            _, stack, calibration, _ = chosen_recording(self.stack, "axial stack")
             self._start(len(stack.planes), lambda: measure_scan(stack, calibration, progress=self.work.progress))
 
     def measure_simulated(self) -> None:
@@ -95,7 +96,7 @@ class AxialResponsePanel(AnalysisPanel):
         """Add the displayed frame at the given depth, and advance the depth by a step."""
         with notify_errors(self):
             layer = chosen_image(self.live, "recording with a calibration")
-            calibration = layer.metadata["elsplus"]["calibration"]
+            calibration = provenance_of(layer.metadata)["calibration"]
             self._manual.take(self._frame(layer), calibration, self.depth_now.value)
             self._saved = False
             self.depth_now.value += self.depth_step.value
@@ -161,9 +162,8 @@ class AxialResponsePanel(AnalysisPanel):
     def copy_script(self) -> None:
         """Copy a script that measures the selected stack to the clipboard."""
         with notify_errors(self):
-            facts = chosen_image(self.stack, "axial stack").metadata["elsplus"]
-            text = axial_script(facts["stack"], facts["calibration_path"])
-            copy_as_script(text)
+            source = chosen_recording(self.stack, "axial stack")
+            copy_as_script(axial_script(source.stack, source.calibration_path))
 
     def _build(self) -> None:
         self.source = ComboBox(label="scan", choices=[STACK, MANUAL, SIMULATED])
@@ -262,5 +262,5 @@ class AxialResponsePanel(AnalysisPanel):
 
 def _axial_stacks(viewer: napari.viewer.Viewer) -> list[str]:
     layers = [viewer.layers[name] for name in calibrated_recordings(viewer)]
-    stacks = {layer.name: layer.metadata["elsplus"].get("stack") for layer in layers}
+    stacks = {layer.name: provenance_of(layer.metadata).get("stack") for layer in layers}
     return [name for name, stack in stacks.items() if stack is not None and stack.depth_um is not None]

@@ -21,13 +21,14 @@ from napari_elsplus.viewing.comparison import (
     difference_planes,
     image_statistics,
 )
+from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, ComparisonLayers
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
     LayerChoice,
     calibrated_recordings,
-    chosen_image,
+    chosen_recording,
     shown_index,
 )
 from napari_elsplus.widgets.shared.files import choose_file_to_write, note_folder
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     import napari.viewer
     from napari.layers import Image
 
+    from napari_elsplus.widgets.shared.choosing import ChosenRecording
     from napari_elsplus.widgets.shared.plots import ThemedPlot
 
 SIDE_BY_SIDE, BLINK, DIFFERENCE = "side by side", "blink", "difference"
@@ -109,12 +111,11 @@ class ComparePanel(AnalysisPanel):
     def begin(self) -> None:
         """Compute LS, ELSA and ELS+ of the selected recording in a thread, and display them."""
         with notify_errors(self):
-            source = self._chosen()
-            facts, cores, index = source.metadata["elsplus"], self.cores.value, self._index()
-            note_folder(facts["path"])
+            source, cores, index = chosen_recording(self.recording), self.cores.value, self._index()
+            note_folder(provenance_of(source.layer.metadata).get("path"))
 
             def made() -> Comparison:
-                comparison = compare_stack(facts["stack"], facts["calibration"], cores)
+                comparison = compare_stack(source.stack, source.calibration, cores)
                 for planes in self.work.progress(list(comparison.images.values())):
                     planes[index]
                 prepare_shapes()
@@ -194,9 +195,9 @@ class ComparePanel(AnalysisPanel):
     def copy_script(self) -> None:
         """Copy a script that makes this comparison to the clipboard."""
         with notify_errors(self):
-            facts, index = self._chosen().metadata["elsplus"], self._index()
-            source = facts["calibration_path"]
-            copy_as_script(comparison_script(facts["stack"], source, self.cores.value, self.scaling.value, index))
+            source, index = chosen_recording(self.recording), self._index()
+            cores, scaling = self.cores.value, self.scaling.value
+            copy_as_script(comparison_script(source.stack, source.calibration_path, cores, scaling, index))
 
     def _build(self) -> None:
         self.recording = LayerChoice(self.viewer, calibrated_recordings, "recording", "Raw layers with a calibration")
@@ -223,23 +224,20 @@ class ComparePanel(AnalysisPanel):
         layout.addWidget(self.plot, 1)
         layout.addLayout(button_row(self.save_figure, self.save, self.script))
 
-    def _chosen(self) -> Image:
-        return chosen_image(self.recording, "recording with a calibration")
-
-    def _show(self, comparison: Comparison, source: Image) -> None:
+    def _show(self, comparison: Comparison, source: ChosenRecording) -> None:
         """Hide the user's layers and display the images, in place of an earlier comparison."""
-        if source not in self.viewer.layers:
+        if source.layer not in self.viewer.layers:
             return
         step = self.viewer.dims.current_step
         with notify_errors(self):
             compared = self._compared_images(comparison)  # may raise, so before the viewer is changed
-            line = self.display.line if source == self._source else None
+            line = self.display.line if source.layer == self._source else None
             if self.comparing:
                 self.end()
-            facts, apart = source.metadata["elsplus"], self.view.value != BLINK
-            self.display.begin(compared, facts["stack"], facts["calibration"], apart=apart, line=line)
+            apart = self.view.value != BLINK
+            self.display.begin(compared, source.stack, source.calibration, apart=apart, line=line)
             self.viewer.dims.current_step = step
-            self._comparison, self._source = comparison, source
+            self._comparison, self._source = comparison, source.layer
             self.rescale_contrast()
             if not apart:
                 self.display.show_next()
@@ -266,7 +264,7 @@ class ComparePanel(AnalysisPanel):
         return [self.plot.colour("grey" if plain else MODE_COLOURS[mode]) for mode in comparison.images]
 
     def _index(self) -> int:
-        layer = self.display.images[0] if self.display.images else self._chosen()
+        layer = self.display.images[0] if self.display.images else chosen_recording(self.recording).layer
         return shown_index(self.viewer, layer)
 
     def _restart(self) -> None:

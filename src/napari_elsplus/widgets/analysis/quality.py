@@ -32,7 +32,7 @@ from napari_elsplus.widgets.shared.choosing import (
     OPEN_RECORDING_FIRST,
     LayerChoice,
     calibrated_recordings,
-    chosen_image,
+    chosen_recording,
     shown_index,
 )
 from napari_elsplus.widgets.shared.panel import (
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from napari_elsplus.viewing.stack import Stack
 
 BOXES: Final = "quality elements"
-RECORDING: Final = "recording with a calibration"
 EDGE: Final = "edge map: residual / central level"
 """Name of its layer, displayed on the canvas: what the colour bar counts."""
 BOX_COLOUR: Final = "#f0e442"
@@ -176,7 +175,7 @@ class QualityPanel(AnalysisPanel):
         """Copy a script that makes these measurements to the clipboard."""
         with notify_errors(self):
             stack, _, frame = self._chosen()
-            source = chosen_image(self.recording, RECORDING).metadata["elsplus"]["calibration_path"]
+            source = chosen_recording(self.recording).calibration_path
             copy_as_script(quality_script(stack, source, self.cores.value, frame, self.boxes_px))
 
     def cleanup(self) -> None:
@@ -204,9 +203,8 @@ class QualityPanel(AnalysisPanel):
         layout.addLayout(button_row(self.script, self.save))
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
-        layer = chosen_image(self.recording, RECORDING)
-        facts = layer.metadata["elsplus"]
-        return facts["stack"], facts["calibration"], shown_index(self.viewer, layer)
+        layer, stack, calibration, _ = chosen_recording(self.recording)
+        return stack, calibration, shown_index(self.viewer, layer)
 
     def _place(self) -> dict[str, Any]:
         """Return scale, translation and units of the selected recording's images, as layer attributes."""

@@ -8,6 +8,7 @@ from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.steps import PAIR
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.outlines import outline_layer
+from napari_elsplus.viewing.provenance import PROVENANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,14 +48,14 @@ def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: 
     placed, adopted = plane_axes(accepted.calibration.um_per_px, viewer.layers)
     facts = {"kind": IMAGE, **adopted}
     if same:
-        present[0].metadata["elsplus"] = facts
+        present[0].metadata[PROVENANCE] = facts
         for layer in present:
             layer.scale, layer.units = placed["scale"], placed["units"]
         return
     covered = [layer for layer in viewer.layers if layer.visible]
     for layer in covered:
         layer.visible = False
-    metadata = {PAIR_KEY: pair, COVERED_KEY: covered, "elsplus": facts}
+    metadata = {PAIR_KEY: pair, COVERED_KEY: covered, PROVENANCE: facts}
     viewer.add_image(pair.image, name=IMAGE, metadata=metadata, **placed)
     viewer.add_shapes(data, **{**attributes, **placed})
 

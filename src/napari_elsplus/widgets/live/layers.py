@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from napari.layers import Image, Layer, Points
 
-from napari_elsplus import __version__
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.frame_regions import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer
+from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 from napari_elsplus.widgets.shared.choosing import LIVE
 from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
@@ -142,22 +143,22 @@ class LiveLayers:
             place: dict[str, Any] = {**axes, "translate": (0.0, left_px * axes["scale"][1])}
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
-                "calibration_path": calibration_file, "file": {}, "software": f"napari-elsplus {__version__}",
+                "calibration_path": calibration_file, "file": {}, "software": SOFTWARE,
                 "rig": rig, "displayed_since": utc_now(), **adopted,
             }  # fmt: skip
             if layer is None:
-                layer = self._add(kind, shape, dtype, {**place, "metadata": {"elsplus": facts}})
+                layer = self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}})
             layer.visible = True
             for name, value in place.items():
                 setattr(layer, name, value)
-            layer.metadata["elsplus"] = facts
+            layer.metadata[PROVENANCE] = facts
             corners[KINDS[kind]] = -TITLE_RISE * shape[0], left_px
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
         self._arrange_titles(corners if side_by_side else {}, axes)
         if self._begins and self.images:
             self._begins = False
-            covering = [layer for layer in others if layer.visible and MOSAIC not in layer.metadata.get("elsplus", ())]
+            covering = [layer for layer in others if layer.visible and MOSAIC not in provenance_of(layer.metadata)]
             for layer in covering:
                 layer.visible = False
             if covering or not known:

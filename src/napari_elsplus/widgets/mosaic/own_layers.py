@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus import __version__
+from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import MOSAIC
+from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -36,8 +37,8 @@ class OwnLayers:
     @property
     def present(self) -> dict[str, Layer]:
         """Layers in the viewer, by kind."""
-        facts_of = ((layer.metadata.get("elsplus"), layer) for layer in self._viewer.layers)
-        return {facts[MOSAIC]: layer for facts, layer in facts_of if isinstance(facts, dict) and MOSAIC in facts}
+        noted = ((provenance_of(layer.metadata), layer) for layer in self._viewer.layers)
+        return {facts[MOSAIC]: layer for facts, layer in noted if MOSAIC in facts}
 
     @property
     def step(self) -> float:
@@ -91,10 +92,10 @@ class OwnLayers:
         if layer is not None and new:
             layer.scale, layer.units = self._axes["scale"], self._axes["units"]
             layer.axis_labels = ("row", "col")
-            layer.metadata["elsplus"] = {
+            layer.metadata[PROVENANCE] = {
                 "kind": f"{MOSAIC} {kind}",
                 MOSAIC: kind,
-                "software": f"napari-elsplus {__version__}",
+                "software": SOFTWARE,
                 **self._adopted,
             }
         if made:

@@ -16,6 +16,7 @@ from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.track import probe_speed
+from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
 from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
@@ -99,7 +100,7 @@ class MosaicPanel(EnginePanel):
         """
         with notify_errors(self):
             plan, chosen = self.form.plan, self._chosen()
-            note_folder(chosen.metadata.get("elsplus", {}).get("path"))
+            note_folder(provenance_of(chosen.metadata).get("path"))
             _ = plan.tracked
             calibration = self.form.calibration.value
             path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
@@ -231,7 +232,7 @@ class MosaicPanel(EnginePanel):
         with notify_errors(self):
             path = self.form.calibration.value
             given = path if isinstance(path, Path) and path.is_file() else None
-            facts = self._chosen().metadata.get("elsplus", {})
+            facts = provenance_of(self._chosen().metadata)
             if facts.get("kind") != "raw":
                 raise InputError("these images are not a raw recording", "select a raw recording for a script")
             copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.form.plan))

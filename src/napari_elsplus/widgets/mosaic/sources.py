@@ -11,6 +11,7 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
+from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class _Planes:
 def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""
     usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
-    return [layer.name for layer in sorted(usable, key=lambda layer: _facts(layer).get("kind") != "raw")]
+    return [layer.name for layer in sorted(usable, key=lambda layer: not _is_raw(layer))]
 
 
 def source_of(layer: Image, given: Calibration | None, path: Path | None) -> MosaicSource:
@@ -100,8 +101,8 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     InputError
         If raw frames have no calibration, or the given one is for frames of another size.
     """
-    facts, shape = _facts(layer), tuple(layer.data.shape)
-    raw = facts.get("kind") == "raw"
+    facts, shape = provenance_of(layer.metadata), tuple(layer.data.shape)
+    raw = _is_raw(layer)
     calibration = given or (facts.get("calibration") if raw else None)
     if raw and calibration is None:
         raise InputError(
@@ -128,13 +129,12 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     return MosaicSource(frames, calibration_of_finished_images(frames, um), times_s, None, layer.name)
 
 
-def _facts(layer: Image) -> dict[str, Any]:
-    facts = layer.metadata.get("elsplus", {})
-    return facts if isinstance(facts, dict) else {}
+def _is_raw(layer: Image) -> bool:
+    return provenance_of(layer.metadata).get("kind") == "raw"
 
 
 def _usable(layer: Image) -> bool:
     """Return True for a stack of grey levels that was not derived from a raw layer."""
-    stack = _facts(layer).get("stack")
-    derived = stack is not None and _facts(layer).get("kind") != "raw" and stack.planes.dtype.kind != "f"
+    stack = provenance_of(layer.metadata).get("stack")
+    derived = stack is not None and not _is_raw(layer) and stack.planes.dtype.kind != "f"
     return layer.ndim == 3 and not layer.rgb and not layer.multiscale and not derived

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from magicgui.widgets import ComboBox
@@ -10,6 +10,7 @@ from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.errors import InputError
+from napari_elsplus.viewing.provenance import provenance_of
 
 LIVE: Final = "live"
 """Prefix of the metadata kind of layers that show live images."""
@@ -20,11 +21,13 @@ OPEN_RECORDING_FIRST: Final = (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     import napari.viewer
     from napari.layers import Layer
     from numpy.typing import NDArray
 
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.viewing.stack import Stack
 
 
@@ -75,15 +78,17 @@ class LayerChoice(ComboBox):
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of the raw layers of a viewer that have a calibration."""
-    known = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
-    return [name for name, facts in known.items() if facts.get("kind") == "raw" and facts.get("calibration")]
+    return _calibrated(viewer, RAW)
 
 
 def calibrated_frames(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers of raw frames with a calibration: recordings, and the live frame."""
-    kinds = {layer.name: layer.metadata.get("elsplus", {}) for layer in viewer.layers}
-    live = [name for name, facts in kinds.items() if facts.get("kind") == f"{LIVE} {RAW}" and facts.get("calibration")]
-    return [*calibrated_recordings(viewer), *live]
+    return [*_calibrated(viewer, RAW), *_calibrated(viewer, f"{LIVE} {RAW}")]
+
+
+def _calibrated(viewer: napari.viewer.Viewer, kind: str) -> list[str]:
+    noted = {layer.name: provenance_of(layer.metadata) for layer in viewer.layers}
+    return [name for name, facts in noted.items() if facts.get("kind") == kind and facts.get("calibration")]
 
 
 def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:
@@ -122,6 +127,22 @@ def chosen_image(choice: LayerChoice, what: str) -> Image:
     return layer
 
 
+class ChosenRecording(NamedTuple):
+    """A layer of a recording: its raw frames, their calibration, and the file of that."""
+
+    layer: Image
+    stack: Stack
+    calibration: Calibration
+    calibration_path: Path | None
+
+
+def chosen_recording(choice: LayerChoice, what: str = "recording with a calibration") -> ChosenRecording:
+    """Return the selected recording with its calibration; parameters and errors as of :func:`chosen_image`."""
+    layer = chosen_image(choice, what)
+    facts = provenance_of(layer.metadata)
+    return ChosenRecording(layer, facts["stack"], facts["calibration"], facts["calibration_path"])
+
+
 def frames_of(layer: Layer | None) -> tuple[Stack, NDArray[np.floating] | None]:
     """Return the raw frames of a layer, and the voltages of a sweep where it contains them.
 
@@ -135,8 +156,8 @@ def frames_of(layer: Layer | None) -> tuple[Stack, NDArray[np.floating] | None]:
     InputError
         If it is not a layer of raw frames.
     """
-    facts = {} if layer is None else layer.metadata.get("elsplus", {})
-    if facts.get("kind") != "raw" or facts.get("stack") is None:
+    facts = {} if layer is None else provenance_of(layer.metadata)
+    if facts.get("kind") != RAW or facts.get("stack") is None:
         name = "no layer is selected" if layer is None else f"{layer.name} is no layer of raw frames"
         raise InputError(name, "select one; File > Open Sample > ELS+ endomicroscopy has a calibration set")
     return facts["stack"], facts.get("volts")
