@@ -12,12 +12,14 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.priority import settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.arguments import require_calibration
+from napari_elsplus.processing.progress import without_display
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterator
 
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.progress import Progress
 
 
 @contextmanager
@@ -64,7 +66,7 @@ def open_engine(
     slit_rows: int = 3,
     frame_rate_hz: float | None = None,
     gain_db: float = 0.0,
-    progress: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers,
+    progress: Progress = without_display,
 ) -> Iterator[Engine]:
     """Open a rig and run its live engine in this process; leaving the context parks the galvo and closes the rig.
 
@@ -83,7 +85,7 @@ def open_engine(
         Frames per second; the preset's highest by default.
     gain_db : float
         Gain of the camera.
-    progress : callable
+    progress : Progress
         Wraps the numbers of each calibration step's frames, with the step's name: ``tqdm.tqdm``, for instance.
 
     Yields
@@ -104,7 +106,7 @@ def open_engine(
         require_calibration(calibration)
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
-            use_simulated_calibration(opened, engine, progress=lambda step: lambda numbers: progress(numbers, step))
+            use_simulated_calibration(opened, engine, progress=progress)
         else:
             engine.use(calibration)
         yield engine

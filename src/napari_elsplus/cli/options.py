@@ -267,3 +267,8 @@ def display() -> ConsoleDisplay:
 def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
     """Display a progress bar of a step's numbers on standard error, if that is a terminal."""
     return display().progress(numbers, step)
+
+
+def calibration_progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
+    """Display a progress bar of the numbers of a step of a calibration, as :func:`progress`."""
+    return progress(numbers, f"Calibrating: {step}")

@@ -11,7 +11,7 @@ from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
-from napari_elsplus.workflows.progress import without_display
+from napari_elsplus.processing.progress import without_display
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
-    from napari_elsplus.workflows.progress import Progress
+    from napari_elsplus.processing.progress import Progress
 
 
 def measure_axial_response(

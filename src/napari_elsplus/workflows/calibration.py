@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.instrument.arguments import require_frames
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.workflows.progress import Progress, without_display
+from napari_elsplus.processing.progress import Progress, without_display
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -21,6 +21,7 @@ from napari_elsplus.io import (
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.accuracy import (
     TrackErrors,
@@ -37,7 +38,6 @@ from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.progress import Progress, without_display
 from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:

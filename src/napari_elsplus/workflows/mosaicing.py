@@ -16,11 +16,11 @@ from napari_elsplus.processing.calibration.bundle.agreement import agreement_not
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
+from napari_elsplus.processing.progress import without_display
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
-from napari_elsplus.workflows.progress import without_display
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images
 from napari_elsplus.workflows.two_threads import Pipelined
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.workflows.progress import Progress
+    from napari_elsplus.processing.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.row_reference import shows_row_noise
 from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner
-from napari_elsplus.workflows.progress import Progress, without_display
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.workflows.two_threads import ComputedAhead
 
 if TYPE_CHECKING:

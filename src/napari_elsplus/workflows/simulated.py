@@ -24,6 +24,7 @@ from napari_elsplus.io import (
     write_stack,
 )
 from napari_elsplus.io.formats.registry import format_to_write
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
@@ -33,7 +34,6 @@ from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import Scene, picture, scene
 from napari_elsplus.simulation.specimen.trajectories import Recorded, Trajectory, trajectory
-from napari_elsplus.workflows.progress import Progress, without_display
 
 if TYPE_CHECKING:
     import os

@@ -24,6 +24,7 @@ from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.slit_offset import OffsetFollower
 from napari_elsplus.processing.calibration.step import Capture, StepInputs
 from napari_elsplus.processing.calibration.steps import calibration_steps
+from napari_elsplus.processing.progress import without_display
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,9 +32,7 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import CalibrationStep, Target
-    from napari_elsplus.processing.progress import ProgressWrapper
-
-    StepProgress = Callable[[str], ProgressWrapper]
+    from napari_elsplus.processing.progress import Progress, ProgressWrapper
 
 SWEEP_VOLTAGES: Final = 400
 """Of the galvo map; as many as the paper takes."""
@@ -65,11 +64,11 @@ class LiveMeasurement:
         Configured.
     voltages : int
         Of a sweep.
-    progress : callable
-        Returns for the name of a part the wrapper of its numbers, to display progress, or to cancel.
+    progress : Progress
+        Wraps the numbers of each part's loop, to display progress, or to cancel.
     """
 
-    def __init__(self, engine: Engine, voltages: int = SWEEP_VOLTAGES, progress: StepProgress = lambda _: iter) -> None:
+    def __init__(self, engine: Engine, voltages: int = SWEEP_VOLTAGES, progress: Progress = without_display) -> None:
         self._engine, self._voltages, self._progress = engine, voltages, progress
         self._found_span: tuple[float, float] | None = None
 
@@ -95,7 +94,7 @@ class LiveMeasurement:
         DeviceError
             If camera or galvo fail.
         """
-        engine, setup, progress = self._engine, engine_setup(self._engine), self._progress(step.title)
+        engine, setup, progress = self._engine, engine_setup(self._engine), self._progress_of(step.title)
         if step.capture in {Capture.SCANNING, Capture.LEADS}:
             draft.calibration.require("galvo", "bundle")
             engine.use(draft.calibration, scan=False)
@@ -105,7 +104,7 @@ class LiveMeasurement:
             case Capture.SWEEP:
                 volts = np.linspace(*self._span(draft), self._voltages)
                 frames = take_sweep(engine, volts, progress)
-                inputs = StepInputs(frames, setup, volts, progress=self._progress(f"{step.title}: fit"))
+                inputs = StepInputs(frames, setup, volts, progress=self._progress_of(f"{step.title}: fit"))
             case Capture.PARKED:
                 inputs = StepInputs(take_parked(engine, step.frames), setup)
             case Capture.SCANNING:
@@ -133,9 +132,12 @@ class LiveMeasurement:
         first, last = (float(known.galvo.volts(row)) for row in (centre - reach, centre + reach))
         return min(first, last), max(first, last)
 
+    def _progress_of(self, part: str) -> ProgressWrapper:
+        return lambda numbers: self._progress(numbers, part)
+
     def _search(self) -> tuple[float, float]:
         if self._found_span is None:
-            self._found_span = find_span(self._engine, self._progress("search for the bundle"))
+            self._found_span = find_span(self._engine, self._progress_of("search for the bundle"))
         return self._found_span
 
 
@@ -199,7 +201,7 @@ def calibrate_rig(
     *,
     voltages: int = SWEEP_VOLTAGES,
     bundle_um: float | None = None,
-    progress: StepProgress = lambda _: iter,
+    progress: Progress = without_display,
 ) -> Draft:
     """Calibrate a rig from nothing, with every step that is not optional, and activate the result.
 
@@ -215,8 +217,8 @@ def calibrate_rig(
         Of the sweep.
     bundle_um : float, optional
         Diameter of the bundle's image in micrometres; without it the calibration has no micrometres.
-    progress : callable
-        Returns for the name of a part the wrapper of its numbers, to display progress, or to cancel.
+    progress : Progress
+        Wraps the numbers of each part's loop, to display progress, or to cancel.
 
     Returns
     -------

@@ -17,15 +17,16 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.frame_source import Circle
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.calibration.step import Target
+from napari_elsplus.processing.progress import without_display
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from napari_elsplus.acquisition.calibrating.live import StepProgress
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.hardware.rig import Rig, VirtualBench
     from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.progress import Progress
 
 PATH: Final = Circle(diameter_um=800.0, period_s=1.75)
 """Path of the probe over the tissue; chosen: 420 frames at 240 Hz, which then repeat."""
@@ -82,7 +83,7 @@ def calibrate_simulated(
     *,
     voltages: int = QUICK_VOLTAGES,
     bundle_um: float = BUNDLE_UM,
-    progress: StepProgress = lambda _: iter,
+    progress: Progress = without_display,
 ) -> Draft:
     """Calibrate the simulated rig without a user, and place the probe onto moving lens tissue.
 
@@ -103,7 +104,7 @@ def calibrate_simulated(
     return draft
 
 
-def use_simulated_calibration(rig: Rig, engine: Engine, *, progress: StepProgress = lambda _: iter) -> None:
+def use_simulated_calibration(rig: Rig, engine: Engine, *, progress: Progress = without_display) -> None:
     """Activate the calibration of a simulated rig that an earlier start remembered; else calibrate, and remember it.
 
     Parameters
@@ -112,7 +113,7 @@ def use_simulated_calibration(rig: Rig, engine: Engine, *, progress: StepProgres
         The simulated rig.
     engine : Engine
         Configured.
-    progress : callable
+    progress : Progress
         As of :func:`calibrate_simulated`.
 
     Raises

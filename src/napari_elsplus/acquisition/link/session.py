@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
-    from napari_elsplus.processing.progress import ProgressWrapper
 
 
 class Session:
@@ -156,18 +155,14 @@ class Session:
         """Put the name of a `kernel` that is being compiled into the status; an empty one at its end."""
         self._compiling = kernel
 
-    def watch(self, step: str) -> ProgressWrapper:
-        """Return what wraps the numbers of a step's parts: it counts them in the status, and ends when cancelled."""
-
-        def counted(numbers: Iterable[int]) -> Iterator[int]:
-            every = list(numbers)
-            for done, number in enumerate(every):
-                if self._cancelled.is_set():
-                    raise InputError(f"the {step} was cancelled", "start it again when you like")
-                self._progress = ProcedureProgress(step, done, len(every))
-                yield number
-
-        return counted
+    def watch(self, numbers: Iterable[int], step: str) -> Iterator[int]:
+        """Yield the numbers of a step's parts: count them in the status, and end when cancelled."""
+        every = list(numbers)
+        for done, number in enumerate(every):
+            if self._cancelled.is_set():
+                raise InputError(f"the {step} was cancelled", "start it again when you like")
+            self._progress = ProcedureProgress(step, done, len(every))
+            yield number
 
     def _require(self) -> tuple[Rig, Engine, LiveMosaic]:
         if self._opened is None:

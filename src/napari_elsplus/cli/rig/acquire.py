@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, POSITIVE, calibration_files, force_option, progress, refuse_outputs
-from napari_elsplus.cli.rig.live import calibration_progress
+from napari_elsplus.cli.options import (
+    FILE,
+    POSITIVE,
+    calibration_files,
+    calibration_progress,
+    force_option,
+    progress,
+    refuse_outputs,
+)
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.priority import keep_pace

@@ -10,11 +10,11 @@ from napari_elsplus.cli.options import (
     FILE,
     POSITIVE,
     calibration_files,
+    calibration_progress,
     force_option,
     progress,
     refuse_outputs,
 )
-from napari_elsplus.cli.rig.live import calibration_progress
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import PRESETS, require_bundle_um
 from napari_elsplus.processing.calibration.file_options import FILE_OPTIONS, FileOption, added_steps

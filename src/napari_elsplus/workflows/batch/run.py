@@ -14,11 +14,11 @@ from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.modes import Mode
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.workflows.batch.cluster import batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_recordings, open_output
 from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, run_stage
-from napari_elsplus.workflows.progress import Progress, without_display
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
