@@ -185,4 +185,4 @@ def test_every_command_has_its_module_and_every_such_module_is_listed() -> None:
     for folder in ("files", "rig"):
         defining = {p.stem for p in (PACKAGE / "cli" / folder).glob("*.py") if "\ndef command(" in p.read_text("utf-8")}
         defining |= {p.stem for p in (PACKAGE / "cli" / folder).glob("*.py") if "\ncommand = " in p.read_text("utf-8")}
-        assert defining - {"window"} == {name for name, place in COMMANDS.items() if place == folder}
+        assert defining - {"window"} == {name for name, listed in COMMANDS.items() if listed.folder == folder}

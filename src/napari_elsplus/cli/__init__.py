@@ -12,7 +12,7 @@ import sys
 import warnings
 from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -24,36 +24,29 @@ from napari_elsplus.processing.compilation import reported_compilation
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS: dict[str, str] = {
-    "demo": "files",
-    "acquire": "rig",
-    "calibrate": "rig",
-    "process": "files",
-    "mosaic": "files",
-    "batch": "files",
-    "compare": "files",
-    "axial": "files",
-    "recommend": "files",
-    "simulate": "files",
-    "rehearse": "rig",
-    "doctor": "rig",
+
+class _Listed(NamedTuple):
+    """A command: the folder below this one that has its module, which defines ``command``, and one line on it."""
+
+    folder: str
+    summary: str
+
+
+COMMANDS: dict[str, _Listed] = {
+    "demo": _Listed("files", "Calibrate, acquire, section and mosaic with the simulated rig."),
+    "acquire": _Listed("rig", "Run a rig without a window."),
+    "calibrate": _Listed("rig", "Measure slit offset, galvo map and view alignment."),
+    "process": _Listed("files", "LS, residual, ELS+ or ELSA images of raw frames."),
+    "mosaic": _Listed("files", "Track the probe and insert its images into a mosaic."),
+    "batch": _Listed("files", "Sectioned images and mosaics of many recordings."),
+    "compare": _Listed("files", "LS, ELSA and ELS+ of one frame side by side."),
+    "axial": _Listed("files", "Axial response from a scan of depths."),
+    "recommend": _Listed("files", "Slit and offset for haze at a depth."),
+    "simulate": _Listed("files", "Simulate raw frames with known truth."),
+    "rehearse": _Listed("rig", "Rehearse faults on the simulated rig."),
+    "doctor": _Listed("rig", "Check software and devices."),
 }
-"""The commands, and the folder below this one in which each has a module of its name that defines ``command``."""
-SUMMARIES: dict[str, str] = {
-    "demo": "Calibrate, acquire, section and mosaic with the simulated rig.",
-    "acquire": "Run a rig without a window.",
-    "calibrate": "Measure slit offset, galvo map and view alignment.",
-    "process": "LS, residual, ELS+ or ELSA images of raw frames.",
-    "mosaic": "Track the probe and insert its images into a mosaic.",
-    "batch": "Sectioned images and mosaics of many recordings.",
-    "compare": "LS, ELSA and ELS+ of one frame side by side.",
-    "axial": "Axial response from a scan of depths.",
-    "recommend": "Slit and offset for haze at a depth.",
-    "simulate": "Simulate raw frames with known truth.",
-    "rehearse": "Rehearse faults on the simulated rig.",
-    "doctor": "Check software and devices.",
-}
-"""One line on each command; here, so that ``--help`` imports none of their modules."""
+"""The commands by name, that of their module; listed here, so that ``--help`` imports none of them."""
 MOVED: dict[str, str] = {"bench": "run `python3 run.py bench` in a checkout of the project"}
 """Commands of earlier versions, and their replacements."""
 
@@ -71,8 +64,8 @@ class _CommandPerModule(click.Group):
             raise InputError(f"the command {cmd_name} is not in the package any more", MOVED[cmd_name])
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"{__name__}.{COMMANDS[cmd_name]}.{cmd_name}").command
-        command.short_help = SUMMARIES[cmd_name]
+        command: click.Command = import_module(f"{__name__}.{COMMANDS[cmd_name].folder}.{cmd_name}").command
+        command.short_help = COMMANDS[cmd_name].summary
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -81,7 +74,7 @@ class _CommandPerModule(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, SUMMARIES[name]) for name in COMMANDS])
+            formatter.write_dl([(name, listed.summary) for name, listed in COMMANDS.items()])
 
 
 @click.group(

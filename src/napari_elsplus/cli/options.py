@@ -167,11 +167,11 @@ def refuse_outputs(
             refuse_suffix(path, suffixes[path])
 
 
-def calibration_to_read(recording: Path, chosen: Path | None) -> Path | None:
-    """Return the file `chosen` with -c, else the one beside a `recording`; None if only the recording contains one."""
+def files_read(recording: Path, chosen: Path | None) -> tuple[Path, ...]:
+    """Return the files that are read: a `recording`, and its calibration, `chosen` with -c or else beside it."""
     from napari_elsplus.io import calibration_beside
 
-    return calibration_beside(recording) if chosen is None else chosen
+    return recording, *calibration_files(calibration_beside(recording) if chosen is None else chosen)
 
 
 def calibration_of(recording: Recording, chosen: Path | None, remedy: str = "name one with -c") -> Calibration:

@@ -10,10 +10,9 @@ import click
 from napari_elsplus.cli.options import (
     FILE,
     ReadingCommand,
-    calibration_files,
     calibration_of,
     calibration_option,
-    calibration_to_read,
+    files_read,
     force_option,
     progress,
     refuse_outputs,
@@ -40,8 +39,8 @@ def command(
     from napari_elsplus.io import open_recording, read_depths_um, write_json
     from napari_elsplus.workflows.axial import measure_axial_response
 
-    read = (scan, *calibration_files(calibration_to_read(scan, calibration)), depths)
-    refuse_outputs(output, plot, force=force, inputs=read, suffixes={output: ".json"})
+    inputs = (*files_read(scan, calibration), depths)
+    refuse_outputs(output, plot, force=force, inputs=inputs, suffixes={output: ".json"})
     if plot is not None:
         from napari_elsplus.workflows.pictures.files import refuse_format
 

@@ -9,10 +9,9 @@ import click
 from napari_elsplus.cli.options import (
     FILE,
     ReadingCommand,
-    calibration_files,
     calibration_of,
     calibration_option,
-    calibration_to_read,
+    files_read,
     force_option,
     output_option,
     refuse_outputs,
@@ -35,7 +34,7 @@ def command(raw: Path, calibration: Path | None, frame: int, output: Path, force
     from napari_elsplus.workflows.pictures.comparison import compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
-    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
+    refuse_outputs(output, force=force, inputs=files_read(raw, calibration))
     refuse_format(output)
     with open_recording(raw) as recording:
         comparison = compare(recording, calibration_of(recording, calibration), frame)

@@ -11,10 +11,9 @@ from napari_elsplus.cli.options import (
     LazyChoice,
     LazyHelp,
     ReadingCommand,
-    calibration_files,
     calibration_of,
     calibration_option,
-    calibration_to_read,
+    files_read,
     force_option,
     image_types,
     output_option,
@@ -95,8 +94,8 @@ def command(
     if finished and (calibration is not None or mode is not None):
         given = "-c" if calibration is not None else "--mode"
         raise InputError(f"--finished excludes {given}", "finished images have neither a calibration nor a mode")
-    read = None if finished else calibration_to_read(raw, calibration)
-    refuse_outputs(output, track, force=force, inputs=(raw, flat, *calibration_files(read)), suffixes={track: ".csv"})
+    inputs = (flat, *((raw,) if finished else files_read(raw, calibration)))
+    refuse_outputs(output, track, force=force, inputs=inputs, suffixes={track: ".csv"})
     format_to_write(output)
     even = None if flat is None else _mean_of(flat)
     with open_recording(raw) as recording:

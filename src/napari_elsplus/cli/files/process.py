@@ -10,10 +10,9 @@ from napari_elsplus.cli.options import (
     FILE,
     LazyChoice,
     ReadingCommand,
-    calibration_files,
     calibration_of,
     calibration_option,
-    calibration_to_read,
+    files_read,
     force_option,
     image_types,
     output_option,
@@ -78,7 +77,7 @@ def command(
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.workflows.sectioning import section
 
-    refuse_outputs(output, force=force, inputs=(raw, *calibration_files(calibration_to_read(raw, calibration))))
+    refuse_outputs(output, force=force, inputs=files_read(raw, calibration))
     format_to_write(output)
     with open_recording(raw) as recording:
         images = section(
