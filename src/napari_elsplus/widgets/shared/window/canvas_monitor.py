@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 from qtpy.QtCore import QEvent, QObject
 from qtpy.QtWidgets import QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
+from napari_elsplus.widgets.shared.window.main_window import main_window
+
 if TYPE_CHECKING:
     from qtpy.QtWidgets import QWidget
 
@@ -60,9 +62,7 @@ class CanvasMonitor(QObject):
         return bool(super().eventFilter(watched, event))
 
     def _install(self) -> None:
-        window = self._panel
-        while (parent := window.parentWidget()) is not None:
-            window = parent
-        for canvas in window.findChildren(QOpenGLWidget):
+        window = main_window(self._panel)
+        for canvas in window.findChildren(QOpenGLWidget) if window is not None else ():
             canvas.installEventFilter(self)
             self._installed = True

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 from qtpy.QtWidgets import QListView
 
+from napari_elsplus.widgets.shared.window.main_window import main_window
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -44,10 +46,8 @@ class LayerListModels:
                 model.blockSignals(was_blocked)
 
     def _find(self) -> None:
-        window = self._panel
-        while (parent := window.parentWidget()) is not None:
-            window = parent
-        for view in window.findChildren(QListView):
+        window = main_window(self._panel)
+        for view in window.findChildren(QListView) if window is not None else ():
             model = view.model()
             if model is not None:
                 self._models.append(model)
