@@ -77,7 +77,7 @@ ORDER = (
     "acquisition.mosaic",
     "acquisition.engine",
     "acquisition.calibrating",
-    "acquisition.session",
+    "acquisition.live_engine",
     "acquisition.link",
     "_screen",
     "diagnosis",

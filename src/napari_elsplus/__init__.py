@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from napari_elsplus.acquisition.session import open_engine as open_engine
+    from napari_elsplus.acquisition.live_engine import open_engine as open_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan as RecordingPlan
     from napari_elsplus.hardware.rigs import open_rig as open_rig
     from napari_elsplus.instrument.calibration import Calibration as Calibration
@@ -45,7 +45,7 @@ _PLACES = {
     "load_calibration": "io.calibrations:read_calibration",
     "measure_axial_response": "workflows.axial:measure_axial_response",
     "mosaic": "workflows.mosaicing:mosaic",
-    "open_engine": "acquisition.session:open_engine",
+    "open_engine": "acquisition.live_engine:open_engine",
     "open_recording": "io.recordings:open_recording",
     "open_rig": "hardware.rigs:open_rig",
     "recommend": "workflows.recommendation.recommend:recommend",

@@ -359,7 +359,7 @@ def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatc
     text = QApplication.clipboard().text()
     panel.connection.disconnect()
     small = runpy.run_path(str(HERE / "conftest.py"))["SmallRig"]
-    monkeypatch.setattr("napari_elsplus.acquisition.session.open_live", lambda name: small())
+    monkeypatch.setattr("napari_elsplus.acquisition.live_engine.open_live", lambda name: small())
     exec(compile(text, "script", "exec"), {})
     (path,) = tmp_path.glob("recording-*.ome.tif")
     with open_recording(path) as recording:

@@ -70,7 +70,7 @@ def command(
     from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
-    from napari_elsplus.acquisition.session import live_engine
+    from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.io import beside, read_calibration, write_json
     from napari_elsplus.io.formats.registry import format_to_write

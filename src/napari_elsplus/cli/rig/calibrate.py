@@ -151,7 +151,7 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
     from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, calibrate_rig, engine_setup
     from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
     from napari_elsplus.acquisition.engine.status import Settings
-    from napari_elsplus.acquisition.session import live_engine
+    from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.hardware.priority import keep_pace
 
     def confirm(target: Target) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.session import live_engine
+from napari_elsplus.acquisition.live_engine import live_engine
 from napari_elsplus.hardware.rig import SIMULATED
 
 
