@@ -152,7 +152,7 @@ def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> Comparison
 def scaled_images(
     images: Mapping[Mode, NDArray[np.float32]], inside: NDArray[np.bool_], scaling: Scaling | str = Scaling.PAPER
 ) -> dict[Mode, NDArray[np.float32]]:
-    """Return images (n, n) by their modes whose white is 1; parameters as of `white_levels`."""
+    """Return images (n, n) by their modes whose white is 1; parameters as of :func:`white_levels`."""
     white = white_levels(images, inside, scaling)
     return {mode: image / np.float32(white[mode]) for mode, image in images.items()}
 
