@@ -112,7 +112,8 @@ def _times_s(provenance: Mapping[str, Any], count: int) -> tuple[float, ...] | N
         return None
     calibration: Calibration | None = provenance.get("calibration")
     times_s = recording.times_by(calibration)
-    uneven = uneven_times_s(times_s, None if times_s is None else median_period_s(times_s))
+    period_s = None if times_s is None else median_period_s(times_s, recording.frame_numbers)
+    uneven = uneven_times_s(times_s, period_s)
     if uneven is None:
         return None
     if recording.camera_times_by(calibration) is None:

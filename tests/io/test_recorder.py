@@ -54,6 +54,16 @@ def test_everything_that_was_recorded_is_read_back(tmp_path, dtype, shape):
         assert recording.calibration.background.mean() == 3.5
 
 
+def test_the_interval_of_frames_is_known_by_their_numbers_where_most_of_them_were_lost(tmp_path):
+    """And where the camera was started again, which counts from 0 anew."""
+    numbers = [0, 2, 4, 7, 9, 11, 0, 2, 4]
+    with RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8) as writer:
+        for k, number in enumerate(numbers):
+            writer.append(frame(k), 0.02 * number + (5.0 if k > 5 else 0.0), number)
+    with open_recording(writer.path) as recording:
+        assert recording.metadata["frame_period_s"] == pytest.approx(0.02)
+
+
 @pytest.mark.parametrize("name", ["r.npy", "r.avi", "r.ome.zarr"])
 def test_a_name_by_which_another_format_is_read_is_refused(tmp_path, name):
     with pytest.raises(InputError, match=f"{name} is read as .*, and recordings are TIFF: let it end in .ome.tif"):

@@ -13,7 +13,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import mosaic, track
-from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.sectioning import RawPairs, section
 from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, fibres, record, smooth_path
 
@@ -106,3 +106,20 @@ def test_lost_images_are_counted_between_the_confocal_frames_of_successive_ones(
     pairs = RawPairs(frames, "elsa", np.array([3, 4, 5, 9, 10, 11, 16, 17]))
     assert [pairs.lost_before(k) for k in range(4)] == [0, 0, 1, 2]
     assert [RawPairs(frames, "els").lost_before(k) for k in range(8)] == [0] * 8
+
+
+def test_frames_of_which_most_were_lost_have_the_rate_of_their_camera(tmp_path: Path) -> None:
+    """By their numbers: no other frame rate than the calibration's is noted, and images have its interval."""
+    scene = record(fibres(1200, 300, 2), smooth_path(24, 8.0, 1200, 3))
+    period_s = scene.calibration.frame_period_s
+    assert period_s is not None
+    with RecordingWriter(tmp_path / "r.ome.tif", scene.frames[0].shape, np.uint8, calibration=scene.calibration) as own:
+        for number in range(0, 24, 2):
+            own.append((scene.frames[number] // 2).astype(np.uint8), period_s * number, number)
+    with open_recording(own.path) as raw:
+        calibration = scene.calibration
+        mosaics = StackMosaics(raw, calibration, MosaicPlan((Mode.ELS,)), raw.times_s, raw.frame_numbers)
+        mosaics.run()
+        for notes in (mosaic(raw, calibration).notes, mosaics.notes):
+            assert [note for note in notes if "ms apart" in note] == []
+        assert section(raw, calibration).frame_period_s == pytest.approx(period_s)

@@ -18,26 +18,37 @@ MAX_UNEVENNESS: Final = 0.01
 clock is finer, and a lost frame is a hundred times as much."""
 
 
-def median_period_s(times_s: Sequence[float] | NDArray[np.float64]) -> float | None:
-    """Return the period of frames, seconds: the median step of their times, which lost frames do not change.
+def median_period_s(
+    times_s: Sequence[float] | NDArray[np.float64], frame_numbers: Sequence[int] | NDArray[np.int64] | None = None
+) -> float | None:
+    """Return the period of a camera, seconds: the median of time over number from frame to frame.
+
+    Lost frames do not change it: they are gaps in the numbers. A camera that was started again counts from 0, and that
+    step is left out.
 
     Parameters
     ----------
     times_s : sequence of float
         (T,) time of each frame, seconds.
+    frame_numbers : sequence of int, optional
+        (T,) the camera's number of each frame; by default none were lost.
 
     Returns
     -------
     float or None
-        None of fewer than two frames, and where the clock does not advance.
+        None of fewer than two frames, and where the clock or the numbers do not advance.
 
     Examples
     --------
     >>> median_period_s([0.0, 0.25, 0.5, 1.25])
     0.25
+    >>> median_period_s([0.0, 0.5, 1.25], [0, 2, 5])
+    0.25
     """
-    steps = np.diff(np.asarray(times_s, np.float64))
-    return positive(np.median(steps)) if len(steps) else None
+    steps_s = np.diff(np.asarray(times_s, np.float64))
+    passed = np.ones_like(steps_s) if frame_numbers is None else np.diff(np.asarray(frame_numbers))
+    counted = passed > 0
+    return positive(np.median(steps_s[counted] / passed[counted])) if counted.any() else None
 
 
 def uneven_times_s(times_s: NDArray[np.float64] | None, period_s: float | None) -> tuple[float, ...] | None:

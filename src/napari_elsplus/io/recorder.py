@@ -126,6 +126,7 @@ class RecordingWriter(ClosedOnExit):
             write_calibration(self._files[1], calibration, force=force)
             self.path.unlink(missing_ok=True)
         self._times_s: list[float] = []
+        self._frame_numbers: list[int] = []
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)
         write_at(self._file, 0, self._layout.file_header)
@@ -185,6 +186,7 @@ class RecordingWriter(ClosedOnExit):
                 error.errno, f"the recording ended after {index} frames ({error.strerror})", str(self.path)
             ) from error
         self._times_s.append(float(time_s))
+        self._frame_numbers.append(int(frame_number))
 
     def close(self) -> None:
         """End the recording: put the OME-XML into its first page and flush it to the disk."""
@@ -206,7 +208,7 @@ class RecordingWriter(ClosedOnExit):
 
     def _metadata(self) -> ImageMetadata:
         return ImageMetadata(
-            frame_period_s=median_period_s(self._times_s),
+            frame_period_s=median_period_s(self._times_s, self._frame_numbers),
             times_s=tuple(self._times_s),
             settings=self._settings,
             calibration=self._calibration,

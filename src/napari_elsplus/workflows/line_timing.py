@@ -24,7 +24,11 @@ MAX_FRAMES: Final = 600
 """Frames that are tracked for the estimate at most: 2.5 s at 240 Hz; chosen, its standard deviation is reported."""
 
 
-def frame_rate_note(calibration: Calibration, times_s: Sequence[float] | NDArray[np.float64] | None) -> str:
+def frame_rate_note(
+    calibration: Calibration,
+    times_s: Sequence[float] | NDArray[np.float64] | None,
+    frame_numbers: Sequence[int] | NDArray[np.int64] | None,
+) -> str:
     """Return a message to the user where frames are not as far apart as the calibration's; else an empty one.
 
     Parameters
@@ -33,8 +37,11 @@ def frame_rate_note(calibration: Calibration, times_s: Sequence[float] | NDArray
         Its timing corrects the rolling shutter.
     times_s : sequence of float or None
         (T,) time of each frame, seconds.
+    frame_numbers : sequence of int or None
+        (T,) the camera's number of each frame, where gaps are lost frames; None if none were lost.
     """
-    period_s, expected_s = None if times_s is None else median_period_s(times_s), calibration.frame_period_s
+    period_s = None if times_s is None else median_period_s(times_s, frame_numbers)
+    expected_s = calibration.frame_period_s
     if period_s is None or expected_s is None or abs(period_s / expected_s - 1) <= MAX_PERIOD_DIFFERENCE:
         return ""
     return (

@@ -46,6 +46,11 @@ class RawPairs:
     frame_numbers : sequence of int, optional
         (T,) the camera's number of each frame, where gaps are lost frames; none were lost by default.
 
+    Attributes
+    ----------
+    frame_numbers : sequence of int or None
+        As given.
+
     Raises
     ------
     InputError
@@ -57,7 +62,7 @@ class RawPairs:
     ) -> None:
         self._frames = frames
         self._stay = isinstance(frames, np.ndarray | Recording)
-        self._numbers = frame_numbers
+        self.frame_numbers = frame_numbers
         self._mode = Mode(mode)
         if len(self) == 0:
             needed = self._mode.frames_per_image
@@ -74,9 +79,9 @@ class RawPairs:
 
     def lost_before(self, index: int) -> int:
         """Return how many images were lost just before the one at an index, by the camera's frame numbers."""
-        if index == 0 or self._numbers is None:
+        if index == 0 or self.frame_numbers is None:
             return 0
-        passed = int(self._numbers[self.frame(index)] - self._numbers[self.frame(index - 1)])
+        passed = int(self.frame_numbers[self.frame(index)] - self.frame_numbers[self.frame(index - 1)])
         return max(passed // self._mode.frames_per_image - 1, 0)  # a camera that is started again counts from 0
 
     def __call__(self, index: int) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -162,8 +167,9 @@ class SectionedImages:
 
         ELSA's is that of two frames.
         """
-        own_s = None if self._frame_times_s is None else median_period_s(self._frame_times_s)
-        period_s = self.calibration.frame_period_s if own_s is None else own_s
+        raw, times_s, period_s = self._raw, self._frame_times_s, self.calibration.frame_period_s
+        if isinstance(raw, Recording) and times_s is not None:
+            period_s = median_period_s(times_s, raw.frame_numbers) or period_s
         return None if period_s is None else period_s * self.mode.frames_per_image
 
     @property
