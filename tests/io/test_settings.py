@@ -48,6 +48,44 @@ def test_a_broken_file_costs_the_memory_but_not_the_work():
         assert settings.recall("rig") == {}
 
 
+@pytest.mark.parametrize("broken", [b"not [ toml", b"[rig]\nname = '\xff'\n"])
+def test_a_broken_file_is_kept_beside_the_new_one(broken):
+    """Its other sections could be mended: they were lost with the next value that was remembered."""
+    path = settings.settings_file()
+    for name in ("settings.broken-1.toml", "settings.broken-2.toml"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(broken)
+        with pytest.warns(UserWarning, match=rf"could not be read.* kept as {name}") as caught:
+            settings.remember("view", name="dark")
+        assert [str(warning.message).count("\n") for warning in caught] == [0]
+        assert path.with_name(name).read_bytes() == broken
+        assert settings.recall("view") == {"name": "dark"}
+        assert settings.recall("rig") == {}
+
+
+def test_a_folder_in_the_place_of_the_file_is_kept_beside_it():
+    path = settings.settings_file()
+    (path / "inside").mkdir(parents=True)
+    with pytest.warns(UserWarning, match=r"kept as settings\.broken-1\.toml"):
+        settings.remember("view", name="dark")
+    assert (path.with_name("settings.broken-1.toml") / "inside").is_dir()
+    assert settings.recall("view") == {"name": "dark"}
+
+
+def test_a_broken_file_that_cannot_be_kept_beside_stays(monkeypatch):
+    settings.remember("rig", name="simulated")
+    path = settings.settings_file()
+    path.write_text("not [ toml")
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.rename", refuse)
+    with pytest.warns(UserWarning, match="could not be kept"):
+        settings.remember("view", name="dark")
+    assert path.read_text() == "not [ toml"
+
+
 def test_a_folder_that_cannot_be_written_is_said(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(CONFIG_VARIABLE, str(tmp_path / "file" / "folder"))

@@ -1,23 +1,22 @@
 """Settings that persist between runs: a TOML file in the user's configuration folder.
 
 Each part of the software has a section of its own. A file that cannot be read or written costs the settings and a
-warning, not the work.
+warning, not the work; one that cannot be read is kept under another name when the next values are stored.
 """
 
 from __future__ import annotations
 
+import os
 import tomllib
 import warnings
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import tomli_w
 
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.user_folders import config_folder
-
-if TYPE_CHECKING:
-    import os
 
 _SECTION: Final = "calibration"
 _ACTIVE: Final = "active"
@@ -30,13 +29,18 @@ def settings_file() -> Path:
 
 
 def recall(section: str) -> dict[str, Any]:
-    """Return the keys and values of a section; empty if nothing was stored."""
-    values = _all().get(section, {})
-    return values if isinstance(values, dict) else {}
+    """Return the keys and values of a section; empty if nothing was stored, or the file cannot be read."""
+    try:
+        return _section(_read(), section)
+    except (OSError, ValueError) as error:
+        warnings.warn(f"{_unreadable(error)}; the defaults hold", stacklevel=2)
+        return {}
 
 
 def remember(section: str, **values: Any) -> None:
     """Store values in a section for the next run; None removes one.
+
+    A file that cannot be read is kept beside the new one under another name.
 
     Parameters
     ----------
@@ -45,12 +49,12 @@ def remember(section: str, **values: Any) -> None:
     **values
         Strings, numbers, booleans, and lists or dicts of them.
     """
-    content = _all()
-    kept = {**recall(section), **values}
-    content[section] = {name: value for name, value in kept.items() if value is not None}
     path = settings_file()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        content = _read_or_set_aside()
+        kept = {**_section(content, section), **values}
+        content[section] = {name: value for name, value in kept.items() if value is not None}
         with replacing(path, force=True) as beside:
             beside.write_text(tomli_w.dumps(content), encoding="utf-8")
     except OSError as error:
@@ -70,12 +74,30 @@ def set_active_calibration(calibration: str | os.PathLike[str] | None) -> None:
     remember(_SECTION, **{_ACTIVE: path, _ACTIVE_BEFORE: None})
 
 
-def _all() -> dict[str, Any]:
-    path = settings_file()
+def _read() -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(settings_file().read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return {}
+
+
+def _read_or_set_aside() -> dict[str, Any]:
+    """Return the settings; rename a file that cannot be read, and return none of them."""
+    try:
+        return _read()
     except (OSError, ValueError) as error:
-        warnings.warn(f"the settings in {path} could not be read ({error!s:.80}); the defaults hold", stacklevel=3)
+        path = settings_file()
+        others = (path.with_name(f"settings.broken-{number}.toml") for number in count(1))
+        aside = next(other for other in others if not os.path.lexists(other))
+        path.rename(aside)
+        warnings.warn(f"{_unreadable(error)}; they are kept as {aside.name}, mend them there", stacklevel=3)
         return {}
+
+
+def _section(content: dict[str, Any], name: str) -> dict[str, Any]:
+    values = content.get(name, {})
+    return values if isinstance(values, dict) else {}
+
+
+def _unreadable(error: OSError | ValueError) -> str:
+    return f"the settings in {settings_file()} could not be read ({error!s:.80})"
