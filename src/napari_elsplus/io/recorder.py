@@ -16,12 +16,12 @@ import numpy as np
 
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.atomic import refuse_existing
+from napari_elsplus.io.atomic import refuse_existing, refuse_suffix
 from napari_elsplus.io.calibration_lookup import beside
 from napari_elsplus.io.calibrations import write_calibration
 from napari_elsplus.io.disk import write_at
 from napari_elsplus.io.formats import ome_xml as ome
-from napari_elsplus.io.formats.registry import ImageMetadata, format_of_name
+from napari_elsplus.io.formats.registry import ImageMetadata
 from napari_elsplus.io.formats.tiff import TIFF
 from napari_elsplus.io.formats.tiff_pages import PageLayout
 from napari_elsplus.io.frame_times import median_period_s
@@ -39,22 +39,10 @@ FLUSH_PERIOD_S: Final = 1.0
 RESERVED_BYTES: Final = 64 << 20
 """Disk space that is reserved at once, bytes; chosen: a fraction of a second of frames. A frame of 524 x 1328 then
 takes 120 us to write instead of 170, processor time."""
+RECORDING_SUFFIXES: Final = (*TIFF.written_suffixes, ".btf")
+"""Suffixes of recordings, which are BigTIFF."""
 _KEEP_SIZE: Final = 1
 """Flag of Linux' ``fallocate`` (linux/falloc.h): what is reserved lies beyond the end of the file."""
-
-
-def refuse_other_format(path: str | os.PathLike[str]) -> None:
-    """Raise an error if the `path` of a recording has a suffix by which another format than TIFF is read.
-
-    Raises
-    ------
-    InputError
-        If so; nothing could open the recording.
-    """
-    name = Path(path).name
-    found = format_of_name(Path(name))
-    if found is not None and found.name != TIFF.name:
-        raise InputError(f"{name} is read as {found.name}, and recordings are TIFF", "let it end in .ome.tif")
 
 
 class RecordingWriter(ClosedOnExit):
@@ -84,8 +72,8 @@ class RecordingWriter(ClosedOnExit):
     Raises
     ------
     InputError
-        If either file exists and `force` is not given, the suffix is that of another format, or the frames are not
-        uint8 or uint16.
+        If either file exists and `force` is not given, the suffix is not one of :data:`RECORDING_SUFFIXES`, or the
+        frames are not uint8 or uint16.
 
     Examples
     --------
@@ -115,7 +103,7 @@ class RecordingWriter(ClosedOnExit):
         self.dtype = np.dtype(dtype)
         if self.dtype not in (np.uint8, np.uint16) or min(self.frame_shape) < 1:
             raise InputError(f"frames of {self.frame_shape}, {self.dtype}", "raw frames are uint8 or uint16, not empty")
-        refuse_other_format(self.path)
+        refuse_suffix(self.path, *RECORDING_SUFFIXES)
         self._calibration, self._settings = calibration, dict(settings or {})
         self._files = self.path, *(beside(self.path, f".calibration{ending}") for ending in (".json", ".npz"))
         for file in self._files:

@@ -72,15 +72,15 @@ def command(
     from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-    from napari_elsplus.io import beside, read_calibration, write_json
+    from napari_elsplus.io import beside, read_calibration, refuse_suffix, write_json
     from napari_elsplus.io.formats.registry import format_to_write
-    from napari_elsplus.io.recorder import refuse_other_format
+    from napari_elsplus.io.recorder import RECORDING_SUFFIXES
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     read, suffixes = calibration_files(calibration), {track: ".csv", report: ".json"}
     refuse_outputs(record, *beside_record, mosaic, track, report, force=force, inputs=read, suffixes=suffixes)
     if record is not None:
-        refuse_other_format(record)
+        refuse_suffix(record, *RECORDING_SUFFIXES)
     if mosaic is not None:
         format_to_write(mosaic)
     keep_pace()
