@@ -199,7 +199,7 @@ class Run:
             processed=tally.processed,
             recorded=tally.recorded,
             dropped=dict(tally.dropped),
-            camera_hz=tally.recent_hz if live else 0.0,
+            camera_hz=tally.camera_hz if live else 0.0,
             mean_hz=tally.mean_hz,
             latency_ms=tally.latency.summary(),
             cpu_us_per_frame=self._cpu_us_per_frame,

@@ -108,9 +108,9 @@ class Status:
     dropped : mapping
         Frames lost in this run, by cause.
     camera_hz : float
-        Frames per second at present; NaN if there are none.
+        Frames per second of the camera at present, by its numbers and clock; NaN if there are none.
     mean_hz : float
-        Frames per second over the run.
+        Frames that arrived per second over the run.
     latency_ms : Latency
         Last byte of a frame to its result.
     cpu_us_per_frame : mapping

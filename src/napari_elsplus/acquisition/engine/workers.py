@@ -130,7 +130,7 @@ class CameraWorker(Thread):
                 if not settled:
                     continue
             self._count_losses(info.frame_number)
-            self._tally.arrived(info.received_s)
+            self._tally.arrived(info.received_s, info.frame_number, readout_start_s)
             stream.finalize(  # last: it wakes the threads that wait for the frame
                 slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=readout_start_s
             )

@@ -112,7 +112,7 @@ class Tally:
         self.recorded = 0
         self.dropped: Counter[str] = Counter()
         self.latency = LatencyHistogram()
-        self._arrivals_s: deque[float] = deque(maxlen=_RATE_FRAMES)
+        self._numbered_s: deque[tuple[int, float]] = deque(maxlen=_RATE_FRAMES)
         self._first_s = self._last_s = nan
         self._acquired = 0
 
@@ -121,12 +121,22 @@ class Tally:
         """Frames that the camera delivered whole and that went into the stream."""
         return self._acquired
 
-    def arrived(self, received_s: float) -> None:
-        """Count a frame that went into the stream, received at that time."""
+    def arrived(self, received_s: float, frame_number: int, readout_start_s: float) -> None:
+        """Count a frame that went into the stream.
+
+        Parameters
+        ----------
+        received_s : float
+            Time of its last byte, seconds.
+        frame_number : int
+            The camera's number.
+        readout_start_s : float
+            When its readout began on the camera's clock, seconds.
+        """
         if not self._acquired:
             self._first_s = received_s
         self._last_s = received_s
-        self._arrivals_s.append(received_s)
+        self._numbered_s.append((frame_number, readout_start_s))
         self._acquired += 1
 
     def lost_by_camera(self, known: Mapping[str, int], missing: int) -> None:
@@ -155,11 +165,17 @@ class Tally:
 
     @property
     def mean_hz(self) -> float:
-        """Frames per second over the whole run; NaN before the second frame."""
+        """Frames that arrived per second over the whole run; NaN before the second frame."""
         return (self._acquired - 1) / (self._last_s - self._first_s) if self._acquired > 1 else nan
 
     @property
-    def recent_hz(self) -> float:
-        """Frames per second over the last frames; NaN before the second one."""
-        arrivals = tuple(self._arrivals_s)
-        return (len(arrivals) - 1) / (arrivals[-1] - arrivals[0]) if len(arrivals) > 1 else nan
+    def camera_hz(self) -> float:
+        """Frames per second of the camera over the last frames, by its numbers and clock; NaN before the second one.
+
+        Lost frames are counted; frames that wait on their way and arrive in a burst do not change it.
+        """
+        numbered_s = tuple(self._numbered_s)
+        if len(numbered_s) < 2:
+            return nan
+        (first, since_s), (last, until_s) = numbered_s[0], numbered_s[-1]
+        return (last - first) / (until_s - since_s) if until_s > since_s else nan
