@@ -13,13 +13,14 @@ import pytest
 
 from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
 from napari_elsplus.acquisition.engine.engine import Engine
-from napari_elsplus.acquisition.engine.live_mosaic import LiveMosaic
+from napari_elsplus.acquisition.engine.imaging import Imaging
 from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.link.messages import QUIT, Reply, Request
 from napari_elsplus.acquisition.link.server import Server
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.link.supervision import Supervision
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
 
@@ -191,18 +192,39 @@ def test_requests_of_a_thread_are_no_heartbeats_of_the_window(served: Served, ri
 def test_what_waited_when_park_was_commanded_does_not_move_the_galvo_afterwards(served, rig, monkeypatch) -> None:
     """Before: it began as if it had been commanded after Park."""
     leave = Event()
-    monkeypatch.setattr(LiveMosaic, "clear", lambda _: leave.wait(SOON_S))
-    slow = [served.send("clear_mosaic") for _ in range(4)]  # as many as run at once
-    held = served.send("hold", 0.2)
+    monkeypatch.setattr(Engine, "scan", lambda _: leave.wait(SOON_S))
+    scanned, held = served.send("scan"), served.send("hold", 0.2)
     served.call("park")
     leave.set()
     with pytest.raises(InputError, match="the galvo was parked, so hold has ended"):
         served.result(held)
     assert "hold" not in rig.scanner.calls
-    for number in slow:
-        served.result(number)
+    served.result(scanned)
     served.call("hold", 0.2)
     assert rig.scanner.volts == 0.2
+
+
+@pytest.mark.parametrize("held_s", [0.0, pytest.param(6.0, marks=pytest.mark.slow)])
+def test_calibrations_that_are_activated_within_a_moment_take_each_others_place(
+    served, calibration, monkeypatch, held_s: float
+) -> None:
+    """Before: they were refused after 5 s, activated in any order, and kept other commands waiting."""
+    activate, leave, seen = Imaging.activate, Event(), []
+
+    def activate_once_free(imaging: Imaging, one: Calibration | None, **options: bool) -> None:
+        leave.wait(SOON_S)
+        activate(imaging, one, **options)
+        seen.append(one)
+
+    monkeypatch.setattr(Imaging, "activate", activate_once_free)
+    others = [calibration.with_optics(um_per_px=1 + 0.1 * number) for number in range(5)]
+    used = [served.send("use", other) for other in others]
+    served.call("usage")
+    assert not leave.wait(held_s)
+    leave.set()
+    for number in used:
+        served.result(number)
+    assert seen == others
 
 
 def test_an_operation_that_waits_for_another_is_interrupted_by_park_as_well(engine: Engine, rig) -> None:

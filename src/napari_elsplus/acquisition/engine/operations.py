@@ -6,15 +6,12 @@ import time
 from contextlib import contextmanager
 from math import inf
 from threading import Condition, get_ident
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-WAIT_S: Final = 5.0
-"""Time to wait for a short operation, s; chosen: longer than any takes to start or stop a stream."""
 
 
 class Operations:
@@ -58,14 +55,15 @@ class Operations:
         Raises
         ------
         InputError
-            If another operation runs, and is long or does not end.
+            If another operation runs that is long.
         """
         if self._owner == get_ident():
             yield
             return
         given_s = time.perf_counter() if given_s is None else given_s
         with self._changed:
-            if not self._changed.wait_for(lambda: self._name is None or self._long, WAIT_S) or self._name is not None:
+            self._changed.wait_for(lambda: self._name is None or self._long)
+            if self._name is not None:
                 raise InputError(f"{self._name} is running", "wait until it has ended, or cancel it")
             self._name, self._owner, self._long, self._given_s = name, get_ident(), long, given_s
         try:

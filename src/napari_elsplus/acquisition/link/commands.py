@@ -39,7 +39,7 @@ class Turn(Enum):
 
     IMMEDIATE = "at once, past every lock"
     CONCURRENT = "beside others"
-    EXCLUSIVE = "after other exclusive ones; refused during a procedure"
+    EXCLUSIVE = "after exclusive ones that came before it; refused during a procedure"
     PROCEDURE = "exclusive for seconds, with progress, until it ends or is cancelled"
 
 

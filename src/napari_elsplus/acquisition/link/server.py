@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 STATUS_PERIOD_S: Final = 0.1
 """Chosen: a tenth of a second is at once for whoever reads it."""
 _THREADS: Final = 4
-"""Commands that run at once at most; chosen: a procedure, its cancellation, and two to spare."""
+"""Commands that run at once at most, beside those that run one at a time; chosen: a procedure, and three to spare."""
 
 
 class Server:
@@ -68,9 +68,13 @@ class Server:
         self._session.supervision.start()
         try:
             compiling = reported_compilation(self._session.report_compilation)
-            with compiling, ThreadPoolExecutor(_THREADS, "command") as pool:
+            with (
+                compiling,
+                ThreadPoolExecutor(_THREADS, "command") as pool,
+                ThreadPoolExecutor(1, "exclusive") as queue,
+            ):
                 try:
-                    self._receive(pool)
+                    self._receive(pool, queue)
                 finally:
                     self._session.close()  # which ends what runs
         finally:
@@ -80,8 +84,8 @@ class Server:
             sender.join()
             self._send()  # whether the galvo was parked
 
-    def _receive(self, pool: ThreadPoolExecutor) -> None:
-        """Execute requests until the connection ends."""
+    def _receive(self, exclusive: ThreadPoolExecutor, others: ThreadPoolExecutor) -> None:
+        """Execute requests until the connection ends, exclusive ones in their order."""
         while True:
             try:
                 request = self._connection.recv()
@@ -91,10 +95,10 @@ class Server:
                 self._session.supervision.beat()
             elif request.name == QUIT:
                 return
-            elif COMMANDS[request.name].turn is Turn.IMMEDIATE:
+            elif (turn := COMMANDS[request.name].turn) is Turn.IMMEDIATE:
                 self._execute(request, time.perf_counter())
             else:
-                pool.submit(self._execute, request, time.perf_counter())
+                (exclusive if turn is Turn.EXCLUSIVE else others).submit(self._execute, request, time.perf_counter())
 
     def _execute(self, request: Request, given_s: float) -> None:
         try:
