@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,9 +10,15 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.workflows.simulated import simulate_axial_scan, simulate_calibration, simulate_recording
+from napari_elsplus.workflows.simulated import (
+    SimulatedRecording,
+    simulate_axial_scan,
+    simulate_calibration,
+    simulate_recording,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -35,6 +42,21 @@ def test_a_scan_has_a_frame_for_each_depth() -> None:
     assert scan.depth_um is not None
     assert scan.depth_um.tolist() == [0, 50, 400]
     assert [int(frame.mean()) for frame in scan] == sorted((int(frame.mean()) for frame in scan), reverse=True)
+
+
+@pytest.mark.parametrize(
+    "simulate", [partial(simulate_axial_scan, depth_um=[0.0]), partial(simulate_recording, frames=1)]
+)
+def test_the_background_has_the_seed_of_the_frames_and_another_noise(
+    simulate: Callable[..., SimulatedRecording],
+) -> None:
+    """Before: that of seed 0, of whose frames it had the noise."""
+    one, again, other = (simulate(seed=seed) for seed in (0, 0, 1))
+    backgrounds = [simulated.calibration.background for simulated in (one, again, other)]
+    np.testing.assert_array_equal(backgrounds[0], backgrounds[1])
+    assert 0.05 < np.std(backgrounds[2] - backgrounds[0]) < 1
+    unlit = np.s_[:40, :40]
+    assert abs(np.corrcoef(one[0][unlit].ravel(), backgrounds[0][unlit].ravel())[0, 1]) < 0.08
 
 
 def test_calibration_frames_are_those_of_the_scenes() -> None:

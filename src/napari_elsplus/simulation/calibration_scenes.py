@@ -22,6 +22,8 @@ SWEEP_STEPS: Final = 400
 """Voltages of a galvo sweep; chosen, about one for each row of the bundle."""
 TRANSMISSION_FRAMES: Final = 5
 """Frames of the bundle lit from its distal end; chosen."""
+DARK_TUBE_SEED: Final = 3
+"""Added to the seed of a recording for the frames in a dark tube, whose noise is then another; chosen."""
 BACKGROUND_FRAMES: Final = 50
 """Frames that are averaged to the background; chosen, their mean has a seventh of a frame's noise."""
 LINE_LIGHT_FACTOR: Final = 25.0
@@ -97,9 +99,9 @@ def background(instrument: Instrument, *, seed: int = 0) -> NDArray[np.float32]:
     instrument : Instrument
         The simulated instrument.
     seed : int
-        Seed of the camera's noise.
+        Seed of the frames that it is taken off; the camera's noise in it is another one than theirs.
     """
     total = np.zeros(instrument.frame_shape, np.uint32)
-    for frame in dark_tube(instrument, seed=seed):
+    for frame in dark_tube(instrument, seed=seed + DARK_TUBE_SEED):
         total += frame
     return (total / BACKGROUND_FRAMES).astype(np.float32)

@@ -153,9 +153,9 @@ def simulate_recording(
     specimen = _scene(scene_name, seed, scene_um_per_px, instrument.optics.um_per_px)
     renderer = Renderer(instrument, specimen, moved, seed=seed)
     renderer.refuse_path(frames)
-    facts = {"seed": seed, "scene": scene_name, "path": path, **truth.motion(instrument, moved, frames)}
+    facts = {"scene": scene_name, "path": path, **truth.motion(instrument, moved, frames)}
     line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
-    return _simulated(instrument, facts, partial(renderer.render, line_rows=line_rows), frames)
+    return _simulated(instrument, seed, facts, partial(renderer.render, line_rows=line_rows), frames)
 
 
 def simulate_axial_scan(
@@ -197,7 +197,7 @@ def simulate_axial_scan(
     depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
     line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
     scan = AxialScan(instrument, depths, seed=seed, line_rows=line_rows)
-    return _simulated(instrument, {"seed": seed, "state": state}, scan.__getitem__, len(depths), depths)
+    return _simulated(instrument, seed, {"state": state}, scan.__getitem__, len(depths), depths)
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ def simulate_calibration(
         line=calibration_scenes.standing_line(instrument, calibration_scenes.line_volts(instrument), seed=seed),
         sweep=calibration_scenes.standing_line(instrument, volts, seed=seed + 1),
         bundle=calibration_scenes.transmission(instrument, seed=seed + 2),
-        background=calibration_scenes.dark_tube(instrument, seed=seed + 3),
+        background=calibration_scenes.dark_tube(instrument, seed=seed + calibration_scenes.DARK_TUBE_SEED),
         volts=volts,
         um_per_px=instrument.optics.um_per_px,
         truth={"seed": seed, **truth.geometry(instrument)},
@@ -304,13 +304,15 @@ def simulate_calibration(
 
 def _simulated(
     instrument: Instrument,
+    seed: int,
     facts: dict[str, Any],
     render: Callable[[int], NDArray[np.uint8]],
     count: int,
     depth_um: NDArray[np.float64] | None = None,
 ) -> SimulatedRecording:
-    calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument))
-    return SimulatedRecording(render, count, calibration, {**truth.geometry(instrument), **facts}, depth_um)
+    calibration = truth.true_calibration(instrument, calibration_scenes.background(instrument, seed=seed))
+    known = {**truth.geometry(instrument), "seed": seed, **facts}
+    return SimulatedRecording(render, count, calibration, known, depth_um)
 
 
 def _line_model(state: str) -> LineModel:
