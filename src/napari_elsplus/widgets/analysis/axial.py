@@ -111,8 +111,7 @@ class AxialResponsePanel(AnalysisPanel):
 
     def clear_scans(self) -> None:
         """Discard all scans; an unsaved manual one only if the user agrees."""
-        question = self.unsaved()
-        if question and not closing.confirm(self, question):
+        if not closing.may_discard(self, self.unsaved()):
             return
         self.scans.clear()
         self._manual, self._saved = ManualScan(), True

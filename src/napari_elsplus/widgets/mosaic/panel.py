@@ -172,8 +172,7 @@ class MosaicPanel(EnginePanel):
 
     def clear(self) -> None:
         """Remove the mosaics, and restore hidden layers; an unsaved live mosaic only if the user agrees."""
-        question = self.unsaved() if isinstance(self._shown, LiveMosaicView) else ""
-        if question and not closing.confirm(self, question):
+        if isinstance(self._shown, LiveMosaicView) and not closing.may_discard(self, self.unsaved()):
             return
         if self.work.busy:
             self.work.cancel()
@@ -306,8 +305,7 @@ class MosaicPanel(EnginePanel):
 
     def _may_replace(self, by: str) -> bool:
         """Return True if the displayed mosaic was saved, or the user agrees to discard it."""
-        question = self.unsaved()
-        return not question or closing.confirm(self, f"{by} replaces the one displayed. {question}")
+        return closing.may_discard(self, self.unsaved(), f"{by} replaces the one displayed.")
 
     def _leave_live(self) -> None:
         if isinstance(self._shown, LiveMosaicView):

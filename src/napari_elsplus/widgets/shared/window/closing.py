@@ -39,14 +39,27 @@ class WindowCloseFilter(QObject):
             window = main_window(self._panel)  # no reference is kept, so that the window can be deleted
             if window is not None and watched is window:
                 closing = event.type() == QEvent.Type.Close
-                if closing and window.isVisible():
-                    question = self._unsaved()
-                    if question and not confirm(window, question):
-                        event.ignore()
-                        return True
+                if closing and window.isVisible() and not may_discard(window, self._unsaved()):
+                    event.ignore()
+                    return True
                 if (closing and not window.isVisible()) or (not closing and not event.spontaneous()):
                     self._closed()
         return bool(super().eventFilter(watched, event))
+
+
+def may_discard(parent: QWidget, question: str, cause: str = "") -> bool:
+    """Return True if nothing is unsaved, or the user agrees to discard it.
+
+    Parameters
+    ----------
+    parent : QWidget
+        The dialog is placed over it.
+    question : str
+        Names what is lost; empty if nothing is.
+    cause : str
+        Sentence that precedes the question.
+    """
+    return not question or confirm(parent, f"{cause} {question}".lstrip())
 
 
 def confirm(parent: QWidget, question: str) -> bool:
