@@ -309,7 +309,7 @@ def calibration_to_track_by(
     CalibrationError
         If the calibration is of another rig than the frames.
     """
-    notes = [frame_rate_note(calibration, times_s, pairs.frame_numbers), agreement_note(raw, calibration)]
+    notes = [agreement_note(raw, calibration), frame_rate_note(calibration, times_s, pairs.frame_numbers)]
     if tracking_method(method).corrects_rolling_shutter:
         calibration, note = with_timing(calibration, pairs, mode)
         notes.append(note)

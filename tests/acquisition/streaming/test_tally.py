@@ -32,3 +32,12 @@ def test_of_one_frame_there_is_no_rate() -> None:
     assert np.isnan(tally.camera_hz)
     tally.arrived(1.0, 5, 1.0)
     assert np.isnan(tally.camera_hz)
+
+
+def test_saturation_is_that_of_the_run_not_of_its_last_frames() -> None:
+    """After parking they are dark."""
+    tally = Tally()
+    assert np.isnan(tally.saturated)
+    for saturated in (0.03, 0.03, 0.0):
+        tally.displayed(saturated)
+    assert tally.saturated == pytest.approx(0.02)

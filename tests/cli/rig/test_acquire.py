@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_elsplus.acquisition.engine.status import Status
+from napari_elsplus.cli.rig.acquire import notes
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.instrument.optics import preset
@@ -119,6 +121,16 @@ def test_what_keeps_the_images_from_being_right_is_noted(
     assert any(said in note for note in json.loads((tmp_path / "report.json").read_text())["notes"])
     run = elsplus("acquire", "-c", calibration_file, "--seconds", 0.5, "--report", tmp_path / "right.json")
     assert json.loads((tmp_path / "right.json").read_text())["notes"] == []
+
+
+def test_saturation_is_noted_first() -> None:
+    unknown = Calibration.parse(
+        {"galvo": {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}}
+    )
+    first, *others = notes(Status(saturated=0.02, stale={"background": "gain changed"}), unknown)
+    assert first == "2.0 % of the pixels are saturated: lower the laser power or the gain"
+    assert any("gain changed" in note for note in others)
+    assert not any("saturated" in note for note in notes(Status(saturated=1e-4), unknown))
 
 
 def test_a_run_that_did_not_begin_leaves_no_report(

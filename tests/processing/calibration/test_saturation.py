@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.analysis.saturation import white_level
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.draft import Draft, Setup
-from napari_elsplus.processing.calibration.frame_regions import white_level
 from napari_elsplus.processing.calibration.measurements import measure_background, measure_pair
 from napari_elsplus.processing.calibration.steps import find_step
 

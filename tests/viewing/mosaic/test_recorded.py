@@ -93,6 +93,7 @@ def test_undoing_takes_the_last_segment_and_calls_its_frames_lost() -> None:
     [
         (np.zeros((1, 236, 480), np.uint8), "1 frame:"),
         (np.full((5, 236, 480), 9, np.uint8), "constant .grey level 9."),
+        (np.full((5, 236, 480), 255, np.uint8), "constant .*: 100.0 % of the pixels are saturated: lower the laser"),
         (np.full((5, 236, 480), np.nan, np.float32), "NaN"),
         (np.zeros((5, 236, 480, 3), np.uint8), "grey levels"),
     ],

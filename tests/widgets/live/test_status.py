@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from napari_elsplus.acquisition.engine.live_images import Measures
 from napari_elsplus.acquisition.engine.status import RecordingState, Status
 from napari_elsplus.acquisition.streaming.faults import Fault
 from napari_elsplus.errors import DeviceError
@@ -88,6 +89,13 @@ def test_a_disconnected_galvo_that_is_not_known_to_be_parked_is_an_error():
         connection.disconnect()
     finally:
         connection.leave()
+
+
+def test_saturation_is_named_before_other_advice():
+    status = Status(live=True, measures=Measures(saturated=0.02), stale={"background": "gain changed"})
+    text = status_text(status, Calibration.parse({"galvo": GALVO}), 30.0, busy=False)
+    assert text.count("2.0 % of the pixels are saturated: lower the laser power or the gain") == 1
+    assert text.index("are saturated") < min(text.index(words) for words in ("stale", ADVICE))
 
 
 def test_the_folder_of_a_recording_is_named(tmp_path: Path):

@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.acquisition.streaming.ring import Layout
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.priority import ordinary_priority
-from napari_elsplus.processing.calibration.frame_regions import white_level
+from napari_elsplus.processing.analysis.saturation import saturated_part
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.resampling import resampled
@@ -216,8 +216,7 @@ class LiveImages:
             A slot of the display's ring, filled.
         """
         np.copyto(arrays[RAW], raw)
-        some = raw[::_SATURATION_STEP]
-        saturated = float(np.count_nonzero(some == white_level(some))) / some.size
+        saturated = saturated_part(raw[::_SATURATION_STEP])
         if self._sectioner is None:
             return Measures(saturated)
         if self.of_one_frame:

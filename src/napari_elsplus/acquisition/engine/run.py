@@ -201,6 +201,7 @@ class Run:
             dropped=dict(tally.dropped),
             camera_hz=tally.camera_hz if live else 0.0,
             mean_hz=tally.mean_hz,
+            saturated=tally.saturated,
             latency_ms=tally.latency.summary(),
             cpu_us_per_frame=self._cpu_us_per_frame,
             started_s=self._age_s + tally.first_s,

@@ -111,6 +111,8 @@ class Status:
         Frames per second of the camera at present, by its numbers and clock; NaN if there are none.
     mean_hz : float
         Frames that arrived per second over the run.
+    saturated : float
+        Mean share of saturated pixels in the displayed frames of the run.
     latency_ms : Latency
         Last byte of a frame to its result.
     cpu_us_per_frame : mapping
@@ -149,6 +151,7 @@ class Status:
     dropped: Mapping[str, int] = field(default_factory=dict)
     camera_hz: float = nan
     mean_hz: float = nan
+    saturated: float = nan
     latency_ms: Latency = field(default_factory=Latency)
     cpu_us_per_frame: Mapping[str, float] = field(default_factory=dict)
     started_s: float = nan

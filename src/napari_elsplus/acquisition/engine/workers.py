@@ -271,6 +271,7 @@ class ProcessingWorker(Thread):
         self._due_s = max(self._due_s + 1 / DISPLAY_HZ, time.perf_counter())
         slot = sink.ring.acquire()
         self.measures = sink.images.fill(raw, slot.arrays)
+        self._tally.displayed(self.measures.saturated)
         sink.ring.finalize(
             slot, frame_number=stamp.frame_number, received_s=stamp.received_s, readout_start_s=stamp.readout_start_s
         )

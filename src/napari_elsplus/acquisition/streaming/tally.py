@@ -115,6 +115,7 @@ class Tally:
         self._numbered_s: deque[tuple[int, float]] = deque(maxlen=_RATE_FRAMES)
         self._first_s = self._last_s = nan
         self._acquired = 0
+        self._saturated = self._displayed = 0.0
 
     @property
     def acquired(self) -> int:
@@ -139,6 +140,10 @@ class Tally:
         self._numbered_s.append((frame_number, readout_start_s))
         self._acquired += 1
 
+    def displayed(self, saturated: float) -> None:
+        """Count a displayed frame by the share of its pixels that are `saturated`."""
+        self._saturated, self._displayed = self._saturated + saturated, self._displayed + 1
+
     def lost_by_camera(self, known: Mapping[str, int], missing: int) -> None:
         """Set the frames that the camera lost in this run.
 
@@ -162,6 +167,11 @@ class Tally:
     def first_s(self) -> float:
         """Time of the first frame, on the clock of ``time.perf_counter``; NaN before it."""
         return self._first_s
+
+    @property
+    def saturated(self) -> float:
+        """Mean share of saturated pixels in the displayed frames of the run; NaN before the first one."""
+        return self._saturated / self._displayed if self._displayed else nan
 
     @property
     def mean_hz(self) -> float:

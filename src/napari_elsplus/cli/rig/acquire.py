@@ -165,8 +165,11 @@ def notes(status: Status, calibration: Calibration) -> Iterator[str]:
     calibration : Calibration
         By which it scanned.
     """
+    from napari_elsplus.processing.analysis.saturation import saturation_note
+
     lag = lag_advice(calibration)
-    yield from filter(None, (status.notice, status.disagreement, dark_advice(calibration)))
+    saturated = saturation_note(status.saturated)
+    yield from filter(None, (saturated, status.notice, status.disagreement, dark_advice(calibration)))
     if lag:
         yield f"{lag}; `calibrate --rig` and the Calibration panel measure it"
     for section, reason in status.stale.items():

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.saturation import largest_level, white_level
 from napari_elsplus.processing.calibration.bundle.location import middle_of_longest_run
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
@@ -28,13 +29,6 @@ LINE_MARGIN_PX: Final = 40
 """Beside the lit columns of a line, in pixels; chosen: its ends fade out towards the rim."""
 SAMPLED_FRAMES: Final = 8
 """In which saturation is searched; chosen: light that changes in a recording shows in one of them."""
-CAMERA_BITS: Final = range(8, 17)
-"""Of a camera's grey levels, which may be fewer than those of its frames' dtype; chosen: those of cameras on sale."""
-MIN_PILE_PX: Final = 10
-"""Pixels at the largest level of a clipped frame; chosen: of fewer, no number that is measured suffers."""
-PILE: Final = 2.0
-"""Least ratio of the pixels at the largest level to those at the next one of a clipped frame; chosen: a histogram that
-is not clipped falls towards its end, one that is clipped collects there whatever exceeds it."""
 
 
 def mean_frame(frames: Frames) -> Image:
@@ -170,48 +164,3 @@ def saturated_share(frames: Frames, name: str, limit: float = MAX_SATURATED) -> 
             f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
         )
     return share
-
-
-def white_level(frame: NDArray[Any]) -> float:
-    """Return the grey level at which a frame is saturated: of the camera's bits where pixels pile up, or of the dtype.
-
-    Parameters
-    ----------
-    frame : numpy.ndarray
-        Raw frame (rows, cols), any real dtype; 10 to 14 bits in a container of 16 may be shifted to its left.
-
-    Returns
-    -------
-    float
-        Infinity for floats that do not pile up.
-
-    Examples
-    --------
-    >>> ramp = np.arange(6000, dtype=np.uint16).reshape(60, 100)
-    >>> white_level(ramp), white_level(np.minimum(ramp, 4095))
-    (65535.0, 4095.0)
-    """
-    largest = largest_level(frame)
-    if largest < 2**CAMERA_BITS.start:
-        return largest
-    top = float(np.max(frame, initial=0))
-    ends = {2.0**bits - 1 for bits in CAMERA_BITS} | {2.0**16 - 2.0 ** (16 - bits) for bits in CAMERA_BITS}
-    if top >= largest or top not in ends:
-        return largest
-    at_top = frame == top
-    pile = np.count_nonzero(at_top)
-    if pile < MIN_PILE_PX:
-        return largest
-    following = np.max(frame, where=~at_top, initial=0)
-    return top if pile > PILE * np.count_nonzero(frame == following) else largest
-
-
-def largest_level(frame: NDArray[Any]) -> float:
-    """Return the largest grey level of a camera with integer pixels.
-
-    Parameters
-    ----------
-    frame : numpy.ndarray
-        Raw frame (rows, cols), whose dtype decides.
-    """
-    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.saturation import white_level
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.gain import darkness
@@ -25,7 +26,6 @@ from napari_elsplus.processing.calibration.frame_regions import (
     sampled,
     saturated_share,
     unlit_pixels,
-    white_level,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
 from napari_elsplus.processing.calibration.line.clipping import IN_PLACE, MAX_CLIPPED_CORE, clipped_share

@@ -12,6 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.line_parts import LineParts, measure_line_parts
+from napari_elsplus.processing.analysis.saturation import white_level
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.frame_regions import (
     column_between_views,
@@ -19,7 +20,6 @@ from napari_elsplus.processing.calibration.frame_regions import (
     sampled,
     saturated_share,
     unlit_pixels,
-    white_level,
 )
 from napari_elsplus.processing.calibration.galvo import visible_line
 from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE, clipped_share

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.processing.analysis.saturation import saturated_part, saturation_note
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -76,9 +77,10 @@ class TrackableFrames:
         """
         chosen = [self[index] for index in sorted({0, len(self) // 2, len(self) - 1})]
         if all(frame.min() == frame.max() for frame in chosen):
+            saturated = saturation_note(max(map(saturated_part, chosen)))
             raise InputError(
                 f"the frames are constant (grey level {chosen[0].flat[0]:g})",
-                "is the laser on, and the probe on tissue?",
+                saturated or "is the laser on, and the probe on tissue?",
             )
 
 

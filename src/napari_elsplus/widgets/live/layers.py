@@ -14,7 +14,7 @@ from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.analysis.image_quality import white_level
-from napari_elsplus.processing.calibration.frame_regions import largest_level
+from napari_elsplus.processing.analysis.saturation import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer

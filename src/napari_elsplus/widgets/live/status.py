@@ -7,17 +7,15 @@ from contextlib import suppress
 from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from napari_elsplus.processing.analysis.saturation import saturation_note
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
 from napari_elsplus.widgets.shared.panel import next_hint
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.instrument.calibration import Calibration
-
-SATURATION_WARNING_SHARE: Final = 0.001
-"""Share of saturated pixels above which a warning is shown; chosen, ten times the paper's 0.01 %."""
 
 
 def status_text(
@@ -55,14 +53,14 @@ def status_text(
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
     ]
+    measures = status.measures
+    if saturated := saturation_note(measures.saturated):
+        lines.append(amber(saturated))
     if parked := parked_advice(status, calibration):
         lines.append(parked)
     lines += _recorded(status)
-    measures = status.measures
     sharpness = f", sharpness (relative) {measures.focus:.3g}" if isfinite(measures.focus) else ""  # none of the dark
     lines.append(f"saturated {100 * measures.saturated:.2f} %{sharpness}")
-    if measures.saturated > SATURATION_WARNING_SHARE:
-        lines.append("<b>Saturated</b>: reduce laser power or gain.")
     lines += stale_lines(status)
     lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)

@@ -6,6 +6,7 @@ from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 from napari_elsplus.instrument.scanning import lag_advice
+from napari_elsplus.processing.analysis.saturation import saturation_note
 from napari_elsplus.widgets.live.status import parked_advice
 from napari_elsplus.widgets.shared.calibration_state import amber
 
@@ -53,7 +54,7 @@ def track_text(status: Status, calibration: Calibration | None) -> str:
     if not track.rerenders:
         text += " Not enough memory to re-render: loop closures no longer correct the mosaic."
     if track.running:
-        advice = lag_advice(calibration)
-        lines = (amber(advice) if advice else "", parked_advice(status, calibration))
+        advice = saturation_note(status.measures.saturated), lag_advice(calibration)
+        lines = (*(amber(line) for line in advice if line), parked_advice(status, calibration))
         text += "".join(f"<br>{line}" for line in lines if line)
     return text

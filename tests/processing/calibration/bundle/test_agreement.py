@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from typing import TYPE_CHECKING
 
@@ -150,3 +151,37 @@ def test_a_background_brighter_than_the_frames_is_refused(dtype: str) -> None:
 def test_a_background_that_frames_cannot_hold_is_refused() -> None:
     with pytest.raises(CalibrationError, match="up to 280, frames of uint8 up to 255: use a calibration of this bit"):
         section(frames("nuclei"), with_background(70), "els")
+
+
+SATURATED = r"^\d+\.\d % of the pixels are saturated: lower the laser power or the gain"
+
+
+def over_exposed() -> list[np.ndarray]:
+    return [np.clip(frame.astype(np.int64) * 12, 0, 255).astype(np.uint8) for frame in frames("nuclei")] * 3
+
+
+@pytest.mark.parametrize("made", [section, compare, mosaic])
+def test_saturated_frames_are_named_first(made: Callable[..., object]) -> None:
+    """Before: a mosaic that could not be tracked asked for tissue or a slower probe, and images had no note."""
+    known = with_background(1).with_optics(line_periods_per_frame=None)
+    bright = over_exposed()
+    with pytest.warns(UserWarning, match=SATURATED):
+        made(bright, known) if made is not mosaic else warnings.warn(mosaic(bright, known).notes[0], stacklevel=1)
+
+
+def test_the_panels_note_saturated_frames(tmp_path: Path) -> None:
+    write_stack(tmp_path / "scan.ome.tif", np.stack(over_exposed()))
+    write_calibration(tmp_path / "scan.calibration.json", true_calibration(INSTRUMENT))
+    assert re.search(SATURATED, open_layers(tmp_path / "scan.ome.tif").notes[0])
+
+
+@pytest.mark.parametrize(("share", "noted"), [(0.0005, False), (0.005, True)])
+@pytest.mark.parametrize("white", [255, 4095])
+def test_a_share_of_saturated_pixels_that_matters_is_noted(share: float, noted: bool, white: int) -> None:
+    """Of cameras of 8 and 12 bits."""
+    random = np.random.default_rng(3)
+    grey = random.integers(0, white - 1, (2, *INSTRUMENT.frame_shape)).astype(np.uint8 if white == 255 else np.uint16)
+    grey[random.random(grey.shape) < share] = white
+    known = true_calibration(INSTRUMENT)
+    found = re.search(SATURATED, grey_level_note(grey, known))
+    assert (found is not None) == noted

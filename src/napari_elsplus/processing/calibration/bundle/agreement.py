@@ -5,17 +5,18 @@ clearly than the far end's light does: they speak against a calibration only if 
 most of its edge seen, and the edge is not seen where the calibration has it.
 
 Of another bit depth is a background whose level beside the views, where no light falls, is a multiple of that of the
-frames, or a fraction of it.
+frames, or a fraction of it. Saturated frames are not what any calibration could make up for, and are noted first.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError, MeasurementError
+from napari_elsplus.processing.analysis.saturation import saturated_part, saturation_note
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc, locate_pair
 from napari_elsplus.processing.calibration.bundle.rim import edge_share
 from napari_elsplus.processing.images.row_reference import dark_pixels
@@ -56,6 +57,7 @@ LIT_PERCENTILE: Final = 25
 """Of the pixels of the views, that exceed the level beside them; chosen: else no light tells where black pixels are."""
 COMPARED_STEP_PX: Final = 4
 """Between the pixels that are compared, in rows and columns; chosen: ten thousand of a frame do."""
+_COMPARED: Final = np.s_[::COMPARED_STEP_PX, ::COMPARED_STEP_PX]
 
 
 def require_agreement(frames: Frames, calibration: Calibration) -> None:
@@ -122,7 +124,7 @@ def agreement_note(frames: Frames, calibration: Calibration) -> str:
 
 
 def grey_level_note(frames: Frames, calibration: Calibration) -> str:
-    """Return a message to the user where frames are of another bit depth than the background, else an empty one.
+    """Return a message to the user where frames are saturated, or of another bit depth than the background; else "".
 
     Parameters
     ----------
@@ -136,22 +138,30 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
     CalibrationError
         If the background exceeds what the frames can hold, or what they show: images would be negative.
     """
-    bundle, background = calibration.bundle, calibration.background
-    if bundle is None or background is None or not len(frames) or frames[0].shape != background.shape:
+    if not len(frames):
         return ""
-    dtype = frames[0].dtype
+    some = [np.array(frames[number][_COMPARED]) for number in _averaged(len(frames))]
+    saturated = saturation_note(float(np.mean([saturated_part(pixels) for pixels in some])))
+    same_shape = calibration.background is not None and calibration.background.shape == frames[0].shape
+    return "; ".join(filter(None, (saturated, _bit_depth_note(some, calibration) if same_shape else "")))
+
+
+def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
+    """Return the message on another bit depth by some pixels of frames of the background's shape."""
+    bundle, background, dtype = calibration.bundle, calibration.background, some[0].dtype
+    if bundle is None or background is None:
+        return ""
     remedy = "use a calibration of this bit depth and black level, or measure its background again"
     largest = np.iinfo(dtype.name).max if dtype.kind in "ui" else np.inf
     if background.max() > largest:
         raise CalibrationError(
             f"the background has grey levels up to {background.max():.0f}, frames of {dtype} up to {largest}", remedy
         )
-    step = np.s_[::COMPARED_STEP_PX, ::COMPARED_STEP_PX]
-    seen = np.mean([np.asarray(frames[number][step], np.float32) for number in _averaged(len(frames))], axis=0)
-    beside = dark_pixels(background.shape, bundle.discs)[step] == 1
+    seen = np.mean([pixels.astype(np.float32) for pixels in some], axis=0)
+    beside = dark_pixels(background.shape, bundle.discs)[_COMPARED] == 1
     if np.count_nonzero(beside) < MIN_COMPARED_PIXELS:
         return ""
-    level, expected = float(np.median(seen[beside])), float(np.median(background[step][beside]))
+    level, expected = float(np.median(seen[beside])), float(np.median(background[_COMPARED][beside]))
     if np.percentile(seen[~beside], LIT_PERCENTILE) <= level:
         return ""
     if max(level, expected) <= MAX_LEVEL_RATIO * min(level, expected) + MIN_LEVEL_DIFFERENCE:
@@ -160,7 +170,7 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
         f"beside the views the frames have grey level {level:.3g}, the background of the calibration {expected:.3g}, "
         "as of another bit depth or black level"
     )
-    if level < expected and np.median((seen - background[step])[~beside]) < 0:
+    if level < expected and np.median((seen - background[_COMPARED])[~beside]) < 0:
         raise CalibrationError(problem, remedy)
     return f"{problem}: {remedy}"
 
