@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
+from napari_elsplus.processing.axial.axial_notes import axial_content
 from napari_elsplus.processing.axial.axial_response import (
     AxialResponse,
     SystematicUncertainty,
@@ -74,7 +75,7 @@ class Scan:
             "name": self.name,
             "offset_um": self.offset_um,
             "slit_um": self.slit_um,
-            **self.response.content(),
+            **axial_content(self.response),
         }
 
 

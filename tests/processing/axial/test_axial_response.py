@@ -7,7 +7,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError, InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.axial.axial_notes import axial_notes, uncertainty_note
+from napari_elsplus.processing.axial.axial_notes import axial_content, axial_notes, uncertainty_note
 from napari_elsplus.processing.axial.axial_response import (
     MAX_CHANCE,
     SystematicUncertainty,
@@ -268,4 +268,10 @@ def test_what_unseen_bleaching_would_change_is_stated() -> None:
     assert one_way.els_10db.um + one_way.unseen_um == pytest.approx(90, abs=0.1)
     assert one_way.unseen_um > 10 * one_way.els_10db.uncertainty_um
     assert f"ELS+ 10 dB lies {one_way.unseen_um:.1f} um farther" in axial_notes(one_way)[0]
+    content = json.loads(json.dumps(axial_content(one_way)))  # of a file, from which nothing is printed
+    assert content["light_lost"] is None
+    assert "bleaching is not seen, and the uncertainties do not contain it" in content["notes"][0]
+    returned = np.append(depths, depths[0])
+    once = axial_response(returned, *falling(returned))
+    assert "fewer than 4 frames repeat a depth" in axial_notes(once)[0]  # before: no depth was recorded again
     assert axial_response(there_and_back(), *falling(there_and_back())).unseen_um == 0

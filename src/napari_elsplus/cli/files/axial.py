@@ -37,6 +37,7 @@ def command(
 ) -> None:
     """Measure 3 dB and 10 dB drop-offs of LS and ELS+, and the in-focus signal kept, from SCAN."""
     from napari_elsplus.io import open_recording, read_depths_um, write_json
+    from napari_elsplus.processing.axial.axial_notes import axial_content
     from napari_elsplus.workflows.axial import measure_axial_response
 
     inputs = (*files_read(scan, calibration), depths)
@@ -49,7 +50,7 @@ def command(
         known = calibration_of(recording, calibration)
         depth_um = None if depths is None else read_depths_um(depths)
         response = measure_axial_response(recording, known, depth_um, progress=progress)
-    write_json(output, response.content(), indent=1, allow_nan=False, force=force)
+    write_json(output, axial_content(response), indent=1, allow_nan=False, force=force)
     if plot is not None:
         from napari_elsplus.workflows.pictures.axial import draw_axial_response
         from napari_elsplus.workflows.pictures.files import save_figure

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.processing.axial.axial_response import ASSUMED_LOSS, MAX_CHANCE, MAX_UNCERTAINTY
+from napari_elsplus.processing.axial.bleaching import MIN_FREEDOM
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.axial.axial_response import AxialResponse
@@ -36,6 +37,17 @@ def axial_notes(response: AxialResponse) -> list[str]:
         uncertainty_note(response),
     )
     return [line for line in notes if line]
+
+
+def axial_content(response: AxialResponse) -> dict[str, Any]:
+    """Return the results of an axial response, and as `notes` what restricts them, ready for JSON.
+
+    Parameters
+    ----------
+    response : AxialResponse
+        Of a scan.
+    """
+    return {**response.content(), "notes": axial_notes(response)}
 
 
 def _black_level_note(response: AxialResponse) -> str:
@@ -71,7 +83,8 @@ def _bleaching_note(response: AxialResponse) -> str:
     if response.loss is None:
         level = "10 dB" if np.isfinite(response.els_10db.um) else "3 dB"
         return (
-            "warning: no depth was recorded again: bleaching is not seen, and the uncertainties do not contain it; if"
+            f"warning: fewer than {MIN_FREEDOM + 1} frames repeat a depth: bleaching is not seen, and the uncertainties"
+            " do not contain it; if"
             f" {100 * ASSUMED_LOSS:.0f} % of the light was lost in the scan, ELS+ {level} lies"
             f" {response.unseen_um:.1f} um farther: record the scan there and back"
         )
