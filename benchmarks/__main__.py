@@ -32,7 +32,7 @@ from benchmarks.programs.long_process import process
 from benchmarks.programs.mutations import mutations
 from benchmarks.programs.start import start
 from benchmarks.studies import ablation, line_fit
-from napari_elsplus.cli import run_program
+from napari_elsplus._program import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording

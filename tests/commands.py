@@ -8,7 +8,7 @@ from typing import NamedTuple
 import click
 import pytest
 
-from napari_elsplus.cli import run_program
+from napari_elsplus._program import run_program
 
 
 class Run(NamedTuple):

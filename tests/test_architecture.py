@@ -19,6 +19,7 @@ PACKAGE = PROJECT / "src" / "napari_elsplus"
 ORDER = (
     "errors",
     "closing",
+    "_program",
     "instrument",
     "processing.compilation",
     "processing.compiled",

@@ -6,23 +6,15 @@ what computes is imported when the command is executed, so that a wrong option i
 
 from __future__ import annotations
 
-import atexit
-import gc
-import sys
-import warnings
-from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
 from napari_elsplus import __version__
-from napari_elsplus.closing import unwound_by_signals
-from napari_elsplus.errors import ElsPlusError, InputError, error_message
+from napari_elsplus._program import run_program
+from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compilation import reported_compilation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 class _Listed(NamedTuple):
@@ -49,10 +41,6 @@ COMMANDS: dict[str, _Listed] = {
 """The commands by name, that of their module; listed here, so that ``--help`` imports none of them."""
 MOVED: dict[str, str] = {"bench": "run `python3 run.py bench` in a checkout of the project"}
 """Commands of earlier versions, and their replacements."""
-
-EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
-"""Exit codes after bad input, as of click, and after Ctrl-C, as of a shell: 128 and the number of the signal."""
 
 
 class _CommandPerModule(click.Group):
@@ -95,61 +83,5 @@ def _display_compilation(kernel: str) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line with these arguments and exit; see :func:`run_program`."""
+    """Run the command line with these arguments and exit; see :func:`~napari_elsplus._program.run_program`."""
     run_program(elsplus, "napari-elsplus", arguments)
-
-
-def run_program(command: click.Command, name: str, arguments: list[str] | None = None) -> None:
-    """Run a click command as a program and exit: 0 on success, 2 and one line for bad input, 130 when interrupted.
-
-    SIGTERM and SIGHUP end it as Ctrl-C does: devices are parked, unfinished files removed, undisturbed by more of them.
-    A warning is one line, too.
-
-    Parameters
-    ----------
-    command : click.Command
-        The command or group.
-    name : str
-        Name of the program, the first word of an error line.
-    arguments : list of str, optional
-        The command line without the program's name; by default that of this process.
-
-    Raises
-    ------
-    SystemExit
-        Always on failure; on success only if the command exits itself.
-    """
-    atexit.register(gc.freeze)  # else the interpreter's last collection searches all that libraries hold: 0.1 s
-    try:
-        with unwound_by_signals(interrupts=True), _warnings_in_one_line(name):
-            command.main(arguments, prog_name=name, standalone_mode=False)
-    except (ElsPlusError, OSError) as error:
-        _leave(f"{name}: {error_message(error)}", EXIT_BAD_INPUT)
-    except click.ClickException as error:
-        error.show()
-        sys.exit(EXIT_BAD_INPUT)
-    except (click.Abort, KeyboardInterrupt):
-        _leave(f"{name}: interrupted", EXIT_INTERRUPTED)
-
-
-@contextmanager
-def _warnings_in_one_line(name: str) -> Iterator[None]:
-    """Display warnings to the user as errors are; those to programmers stay as Python displays them."""
-    before = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, UserWarning):
-            click.echo(f"{name}: warning: {' '.join(str(message).split())}", err=True)
-        else:
-            before(message, category, *where, **more)
-
-    warnings.showwarning = show
-    try:
-        yield
-    finally:
-        warnings.showwarning = before
-
-
-def _leave(line: str, code: int) -> None:
-    click.echo(line, err=True)
-    sys.exit(code)

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Final
 import click
 import numpy as np
 
+from napari_elsplus._program import run_program
 from napari_elsplus.diagnosis.first_light_card import dry_run, parked_waveform, parking
 from napari_elsplus.diagnosis.first_light_scan import configure, lit_rig, mirror_step, strobe_phase
-from napari_elsplus.errors import ElsPlusError, InputError, error_message
+from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.drivers import features_of
 from napari_elsplus.hardware.rig_files import U3V_KINDS, CameraTable, RigSettings, rig_settings
 from napari_elsplus.hardware.rigs import open_rig
@@ -356,17 +357,7 @@ def _print(findings: Iterator[str]) -> None:
 
 def main() -> None:
     """Run a check; an error, also Ctrl-C, is one line."""
-    try:
-        first_light.main(prog_name="first_light", standalone_mode=False)
-    except (ElsPlusError, OSError) as error:
-        click.echo(f"first_light: {error_message(error)}", err=True)
-        raise SystemExit(2) from None
-    except click.Abort:
-        click.echo("first_light: interrupted", err=True)
-        raise SystemExit(130) from None
-    except click.ClickException as error:
-        error.show()
-        raise SystemExit(error.exit_code) from None
+    run_program(first_light, "first_light")
 
 
 if __name__ == "__main__":

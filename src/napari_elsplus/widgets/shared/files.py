@@ -43,7 +43,7 @@ def choose_file_to_write(parent: QWidget, title: str, name: str, kinds: str, act
 
 
 def choose_file_to_read(parent: QWidget, title: str, kinds: str, act: Callable[[Path], object]) -> None:
-    """Act on the file that the user chooses to read, if one was chosen; parameters as of :func:`choose_file_to_write`."""
+    """Act on the file that the user chooses to read, if any; parameters as of :func:`choose_file_to_write`."""
     _act(QFileDialog.getOpenFileName(parent, title, _start(), kinds)[0], act)
 
 
