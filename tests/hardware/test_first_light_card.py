@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from click.testing import CliRunner
-
-from napari_elsplus.diagnosis import first_light, first_light_card
-from napari_elsplus.errors import InputError
+from napari_elsplus.diagnosis import first_light_card
 from napari_elsplus.instrument.optics import PRESETS
 
 
@@ -26,8 +23,3 @@ def test_a_card_that_does_not_count_what_it_repeats_is_told(cards, monkeypatch) 
     monkeypatch.setattr(bench.card, "samples_done", lambda handle: 0)
     said = list(first_light_card.dry_run(bench.settings, bench.limits))
     assert all(line.startswith("the count of samples stands") for line in said[2::2])
-
-
-def test_a_card_check_needs_a_rig_with_a_card() -> None:
-    done = CliRunner().invoke(first_light.first_light, ["card", "--rig", "simulated"])
-    assert isinstance(done.exception, InputError)
