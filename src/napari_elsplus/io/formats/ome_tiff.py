@@ -41,29 +41,7 @@ def write_stack(
     *,
     force: bool = False,
 ) -> int:
-    """Write images of one shape and type to an OME-TIFF, one at a time in memory.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    images : iterable of numpy.ndarray, (rows, cols)
-        Equal in shape and type.
-    metadata : ImageMetadata
-        Pixel size, settings, calibration; nothing by default.
-    force : bool
-        Replace an existing file instead of refusing it.
-
-    Returns
-    -------
-    int
-        Number of images written.
-
-    Raises
-    ------
-    InputError
-        If there is no image, the images differ, or the file exists and `force` is not given.
-    """
+    """Write images to an OME-TIFF of any name; parameters and errors as of :func:`napari_elsplus.io.write_images`."""
     import tifffile
 
     with replacing(path, force=force) as beside:
@@ -89,19 +67,7 @@ def allocate_stack(
     dtype: DTypeLike,
     metadata: ImageMetadata,
 ) -> None:
-    """Create the OME-TIFF of a stack whose pixels are 0; :func:`fill_stack` writes images into it.
-
-    Parameters
-    ----------
-    path : path-like
-        The file, which does not exist.
-    shape : tuple of int
-        Number of images, rows, columns.
-    dtype : dtype-like
-        Of the pixels.
-    metadata : ImageMetadata
-        As :func:`write_stack`.
-    """
+    """Create an OME-TIFF of zeros; parameters and errors as of :func:`napari_elsplus.io.allocate_images`."""
     refuse_existing(path)
     _lay_out(Path(path), shape, np.dtype(dtype), metadata)
 
@@ -116,29 +82,7 @@ def _lay_out(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], metadata:
 
 
 def fill_stack(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
-    """Write successive images into a file of :func:`allocate_stack`; several processes may write different ones.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    first : int
-        Index of the first image.
-    images : iterable of numpy.ndarray, (rows, cols)
-        Of the shape and type of the file's.
-
-    Returns
-    -------
-    int
-        Number of images written.
-
-    Raises
-    ------
-    InputError
-        If an image differs in shape or type from those of the file.
-    IndexError
-        If there are more images than the file has from the first on.
-    """
+    """Write images into an OME-TIFF; parameters and errors as of :func:`napari_elsplus.io.fill_images`."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -217,29 +161,7 @@ def write_ome_tiff_pyramid(
     *,
     force: bool = False,
 ) -> Path:
-    """Write a mosaic to a tiled OME-TIFF with a pyramid of halved levels, so that viewers open any size at once.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    image : numpy.ndarray, (rows, cols)
-        The mosaic at full resolution; pixels that were never covered are 0.
-    metadata : ImageMetadata
-        As :func:`write_stack`.
-    force : bool
-        Replace an existing file instead of refusing it.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the image is no mosaic, or the file exists and `force` is not given.
-    """
+    """Write a mosaic to a tiled OME-TIFF; parameters and errors as of :func:`napari_elsplus.io.write_mosaic`."""
     import tifffile
 
     with replacing(path, force=force) as beside:

@@ -109,28 +109,9 @@ def write_ome_zarr(
     *,
     force: bool = False,
 ) -> int:
-    """Write images of one shape and type to an OME-Zarr folder, one at a time in memory, a plane per chunk.
+    """Write images to an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.write_images`.
 
-    Parameters
-    ----------
-    path : path-like
-        The folder, NAME.zarr.
-    images : iterable of numpy.ndarray, (rows, cols)
-        Equal in shape and type.
-    metadata : ImageMetadata
-        Pixel size and frame interval become the scale; settings and calibration, attributes.
-    force : bool
-        Replace an existing folder instead of refusing it.
-
-    Returns
-    -------
-    int
-        Number of images written.
-
-    Raises
-    ------
-    InputError
-        If there is no image, the images differ, or the folder exists and `force` is not given.
+    A plane is a chunk. Pixel size and frame interval become the scale; settings and calibration, attributes.
 
     References
     ----------
@@ -154,47 +135,13 @@ def allocate_ome_zarr(
     dtype: DTypeLike,
     metadata: ImageMetadata,
 ) -> None:
-    """Create the OME-Zarr folder of a stack whose pixels are 0; :func:`fill_ome_zarr` writes images into it.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder, NAME.zarr, which does not exist.
-    shape : tuple of int
-        Number of images, rows, columns.
-    dtype : dtype-like
-        Of the pixels.
-    metadata : ImageMetadata
-        As :func:`write_ome_zarr`.
-    """
+    """Create an OME-Zarr folder of zeros; parameters and errors as of :func:`napari_elsplus.io.allocate_images`."""
     with _new_group(path, metadata, force=False) as group:
         _new_array(group, path, shape, np.dtype(dtype), metadata)
 
 
 def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
-    """Write successive images into a folder of :func:`allocate_ome_zarr`; several processes may write different ones.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder.
-    first : int
-        Index of the first image.
-    images : iterable of numpy.ndarray, (rows, cols)
-        Of the shape and type of the folder's.
-
-    Returns
-    -------
-    int
-        Number of images written.
-
-    Raises
-    ------
-    InputError
-        If an image differs in shape or type from those of the folder.
-    IndexError
-        If there are more images than the folder has from the first on.
-    """
+    """Write images into an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.fill_images`."""
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
 
@@ -214,33 +161,7 @@ def write_ome_zarr_pyramid(
     *,
     force: bool = False,
 ) -> Path:
-    """Write a mosaic to an OME-Zarr folder with a pyramid of halved levels, in square chunks.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder, NAME.zarr.
-    image : numpy.ndarray, (rows, cols)
-        The mosaic at full resolution; pixels that were never covered are 0.
-    metadata : ImageMetadata
-        The pixel size becomes the scale; settings and calibration, attributes.
-    force : bool
-        Replace an existing folder instead of refusing it.
-
-    Returns
-    -------
-    pathlib.Path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        If the image is no mosaic, or the folder exists and `force` is not given.
-
-    References
-    ----------
-    https://ngff.openmicroscopy.org/0.5/
-    """
+    """Write a mosaic to an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.write_mosaic`."""
     um_per_px = metadata.um_per_px
     with _new_group(path, metadata, force=force) as group:
         (whole,) = contiguous_images([image])

@@ -69,7 +69,7 @@ class ImageMetadata:
 
 
 class ImageWriter(Protocol):
-    """Writes finished images; :func:`napari_elsplus.io.write_stack` is one."""
+    """Writes finished images, as :func:`napari_elsplus.io.write_images`, which calls it."""
 
     def __call__(
         self,
@@ -83,7 +83,7 @@ class ImageWriter(Protocol):
 
 
 class PyramidWriter(Protocol):
-    """Writes a single image with its halved levels; :func:`napari_elsplus.io.write_mosaic` is one."""
+    """Writes a single image with its halved levels, as :func:`napari_elsplus.io.write_mosaic`, which calls it."""
 
     def __call__(
         self,
@@ -97,7 +97,7 @@ class PyramidWriter(Protocol):
 
 
 class ImageAllocator(Protocol):
-    """Creates the file of a stack of images, whose pixels are 0, for an :class:`ImageFiller`."""
+    """Creates a file of zeros, as :func:`napari_elsplus.io.allocate_images`, which calls it."""
 
     def __call__(
         self,
@@ -110,7 +110,10 @@ class ImageAllocator(Protocol):
 
 
 class ImageFiller(Protocol):
-    """Writes successive images into an allocated file; several processes may write different ones at once."""
+    """Writes images into an allocated file, as :func:`napari_elsplus.io.fill_images`, which calls it and flushes.
+
+    Several processes may write different images at once.
+    """
 
     def __call__(self, path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
         """Write images (rows, cols) from the index `first` on, and return their number."""
