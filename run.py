@@ -28,7 +28,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,6 +98,8 @@ WINDOW_LIBRARIES = {
 """What a Qt window needs on Linux: Debian's package and the library that is in it."""
 
 
+SCREEN_PX = "1280x1024"
+"""Of the screen on which the windows are tested."""
 VIRTUAL_SCREEN = {"xauth": "xauth", "xvfb": "xvfb-run"}
 """What the windows are tested on where there is no screen: Debian's package and the program that is in it."""
 
@@ -140,6 +142,26 @@ def run(command: list[str], folder: Path = ROOT, **more_environment: str) -> int
     finally:
         signal.signal(signal.SIGTERM, before)
     return code if code >= 0 else 128 - code  # as a shell counts a child that a signal ended
+
+
+@contextmanager
+def virtual_screen(size: str) -> Iterator[dict[str, str]]:
+    """Start a virtual screen, "1280x1024", and give the environment that draws on it; it ends with us, however we end.
+
+    Commands are not started under xvfb-run: terminated, that ends neither them nor its screen. Here it waits for the
+    end of its input, which is ours.
+    """
+    waiting = ["sh", "-c", 'echo "$DISPLAY"; echo "$XAUTHORITY"; read -r _']
+    command = ["xvfb-run", "--auto-servernum", f"--server-args=-screen 0 {size}x24", *waiting]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    screen = subprocess.Popen(command, env=environment(), text=True, start_new_session=True, **pipes)
+    try:
+        display, authority = (screen.stdout.readline().strip() for _ in range(2))
+        if not display:
+            raise Stop("run.py: no virtual screen could be started")
+        yield {"DISPLAY": display, "XAUTHORITY": authority}
+    finally:
+        screen.communicate()
 
 
 @contextmanager
@@ -315,15 +337,15 @@ def test(everything: bool) -> int:
     """Lint, types, manifest and tests; every step runs, and the first failure gives the exit code."""
     prepare("lint", "test")
     pytest = [python(), "-m", "pytest", "--durations=15", *([] if everything else ["-m", "not slow"])]
-    shared, workers, screen = PURE, ["--numprocesses=2"], []
+    shared, workers, screen = PURE, ["--numprocesses=2"], nullcontext({})
     if sys.platform.startswith("linux") and not screen_answers():
         missing = missing_packages(virtual_screen=True)
         if missing:
             system_packages(missing, "testing the windows")
-        screen = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1024x24"]
-        shared, workers = PURE + PATIENT, ["--tx=2*popen//python=" + shlex.join([*screen, python()])]
+        own = ["xvfb-run", "--auto-servernum", f"--server-args=-screen 0 {SCREEN_PX}x24", python()]
+        shared, workers, screen = PURE + PATIENT, ["--tx=2*popen//python=" + shlex.join(own)], virtual_screen(SCREEN_PX)
     in_two = [*pytest, *workers, "--dist=loadfile", "src", *shared]
-    in_turn = [*screen, *pytest, "tests", *(f"--ignore={path}" for path in shared)]
+    in_turn = [*pytest, "tests", *(f"--ignore={path}" for path in shared)]
     steps = (
         ("ruff check", [python(), "-m", "ruff", "check", "."]),
         ("ruff format", [python(), "-m", "ruff", "format", "--check", "."]),
@@ -342,7 +364,8 @@ def test(everything: bool) -> int:
         say("== pytest in two processes")
         codes["pytest in two processes"] = run(in_two, OMP_NUM_THREADS="1", **more)
         say("== pytest in turn")
-        codes["pytest in turn"] = run(in_turn, **more)
+        with screen as display:
+            codes["pytest in turn"] = run(in_turn, **more, **display)
     failed = [name for name, code in codes.items() if code]
     if failed:
         raise Stop(f"run.py: failed: {', '.join(failed)}", codes[failed[0]])
@@ -364,15 +387,15 @@ def bench(arguments: list[str]) -> int:
 def screens(arguments: list[str]) -> int:
     """Draw every panel, on a virtual screen, so that nothing appears on a desk and the sizes are what was asked for."""
     prepare()
-    command = [python(), "-m", "benchmarks.screens", *arguments]
+    command, screen = [python(), "-m", "benchmarks.screens", *arguments], nullcontext({})
     if sys.platform.startswith("linux"):
         missing = missing_packages(virtual_screen=True)
         if missing:
             system_packages(missing, "drawing the windows")
-        command = ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1920x1200x24", *command]
-    with tempfile.TemporaryDirectory() as folder:
+        screen = virtual_screen("1920x1200")
+    with tempfile.TemporaryDirectory() as folder, screen as display:
         settings = str(Path(folder, "settings.yaml"))
-        return run(command, folder=Path.cwd(), PYTHONPATH=str(ROOT), NAPARI_CONFIG=settings)
+        return run(command, folder=Path.cwd(), PYTHONPATH=str(ROOT), NAPARI_CONFIG=settings, **display)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -7,12 +7,13 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import ModuleType
 
@@ -78,6 +79,7 @@ def recorder(run: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Recorder:
     recorder = Recorder(run)
     monkeypatch.setattr(run, "run", recorder)
     monkeypatch.setattr(run, "beside", recorder.beside)
+    monkeypatch.setattr(run, "virtual_screen", lambda size: nullcontext({"DISPLAY": f":{size}"}))
     return recorder
 
 
@@ -320,10 +322,38 @@ def test_windows_are_tested_on_a_virtual_screen_where_there_is_none(
     run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run.main(["test"])
-    assert recorder.commands[-1][0] == "xvfb-run"
+    assert recorder.environments[-1]["DISPLAY"] == ":1280x1024"
     monkeypatch.setattr(run, "screen_answers", lambda: True)
     run.main(["test"])
-    assert recorder.commands[-1][0] == run.python()
+    assert "DISPLAY" not in recorder.environments[-1]
+
+
+DRAWS = """
+import importlib.util, sys
+spec = importlib.util.spec_from_file_location("run_under_test", sys.argv[1])
+run = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(run)
+drawn = "import os, time; print(os.environ['DISPLAY'], flush=True); time.sleep(60)"
+with run.virtual_screen("640x480") as screen:
+    run.run([sys.executable, "-c", drawn], **screen)
+"""
+
+
+@pytest.mark.skipif(not shutil.which("xvfb-run"), reason="no Xvfb is installed")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_no_virtual_screen_is_left_behind(number: signal.Signals) -> None:
+    """Before: a run that was terminated left its screen, and the tests that were drawn on it, for ever."""
+    command = [sys.executable, "-c", DRAWS, str(SCRIPT)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as drawing:
+        assert drawing.stdout is not None
+        lock = Path(f"/tmp/.X{drawing.stdout.readline().strip().removeprefix(':')}-lock")
+        assert lock.exists()
+        drawing.send_signal(number)
+        drawing.wait(60)
+        end_s = time.monotonic() + 30
+        while lock.exists() and time.monotonic() < end_s:
+            time.sleep(0.05)
+        assert not lock.exists()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has Xvfb")
@@ -332,8 +362,8 @@ def test_screens_are_drawn_on_a_virtual_screen_with_settings_of_their_own(
 ) -> None:
     monkeypatch.setattr(run, "missing_packages", lambda virtual_screen: [])
     assert run.main(["screens", "--out", "pictures"]) == 0
-    assert recorder.commands[-1][0] == "xvfb-run"
-    assert recorder.commands[-1][-5:] == [run.python(), "-m", "benchmarks.screens", "--out", "pictures"]
+    assert recorder.environments[-1]["DISPLAY"] == ":1920x1200"
+    assert recorder.commands[-1] == [run.python(), "-m", "benchmarks.screens", "--out", "pictures"]
     assert not Path(recorder.environments[-1]["NAPARI_CONFIG"]).exists()
 
 
