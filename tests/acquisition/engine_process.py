@@ -19,7 +19,7 @@ from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian.supervision import guard_scanner
 from napari_elsplus.io import RecordingWriter
 
-small = runpy.run_path(str(Path(__file__).with_name("conftest.py")))
+small = runpy.run_path(str(Path(__file__).parents[1] / "small_rig.py"))  # which imports no pytest
 
 
 def open_rig(name: str) -> object:

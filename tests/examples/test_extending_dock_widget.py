@@ -12,6 +12,7 @@ import pytest
 from napari.layers import Image
 
 from napari_elsplus.acquisition.engine.status import Settings
+from small_rig import small_calibration
 
 TESTS = Path(__file__).resolve().parents[1]
 EXAMPLE = TESTS.parent / "examples" / "extending" / "dock_widget.py"
@@ -36,7 +37,7 @@ def test_it_follows_the_stream_that_the_live_panel_started(panel, qtbot):
     _, live = panel.viewer.window.add_plugin_dock_widget("napari-elsplus", "Live")
     assert live.connection is panel.connection
     client = live.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    calibration = runpy.run_path(str(TESTS / "acquisition" / "conftest.py"))["small_calibration"]()
+    calibration = small_calibration()
     panel.requests.follow(panel.connection.apply(calibration), lambda _: live.toggle())
     qtbot.waitUntil(lambda: len(panel.live) >= 3, timeout=60_000)
     assert live.connection.calibration is calibration

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-
 import pytest
 from napari.utils.notifications import ErrorNotification, notification_manager
 from qtpy.QtWidgets import QAbstractSlider, QAbstractSpinBox, QCheckBox, QComboBox, QDoubleSpinBox, QSpinBox
 
 from napari_elsplus.acquisition.engine.status import Settings
 from pairs import write_pair
+from small_rig import small_calibration
 
 PLUGIN = "napari-elsplus"
-HERE = Path(__file__).parents[1] / "acquisition"
 
 
 def extremes(control):
@@ -34,7 +31,7 @@ def test_controls_at_their_extremes_leave_no_traceback_and_a_stream_that_runs(
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
     _, live = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
     client = live.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
+    client.use(small_calibration()).result(60)
     client.start().result(60)
     panel = live if name == "Live" else viewer.window.add_plugin_dock_widget(PLUGIN, name)[1]
     busy = lambda: any(  # noqa: E731

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import runpy
 import signal
 from pathlib import Path
 
@@ -13,9 +12,9 @@ import pytest
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.io import read_track
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from small_rig import small_calibration
 
 PLUGIN = "napari-elsplus"
-HERE = Path(__file__).parents[1] / "acquisition"
 
 
 @pytest.fixture
@@ -28,7 +27,7 @@ def panel(viewer, qtbot):
     """The Mosaic panel, connected to a calibrated rig; LS is laid, since the small rig's views differ little."""
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
     client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
+    client.use(small_calibration()).result(60)
     for mode, box in panel.form.modes.items():
         box.value = mode == "ls"
     return panel
@@ -182,7 +181,7 @@ def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, pan
 
 
 def test_the_rig_is_connected_by_the_calibration_that_the_panels_share(viewer, qtbot):
-    known = runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()
+    known = small_calibration()
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
     panel.connection.apply(known)
     for mode, box in panel.form.modes.items():

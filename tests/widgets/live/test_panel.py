@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import runpy
 import signal
 import sys
 import time
@@ -34,9 +33,9 @@ from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
+from small_rig import SmallRig, small_calibration
 
 PLUGIN = "napari-elsplus"
-HERE = Path(__file__).parents[2] / "acquisition"
 BLOCKED_FRAMES = 300
 """More than the engine keeps in memory, so that none is lost only if it does not wait for the window."""
 
@@ -51,7 +50,7 @@ def panel(viewer, qtbot, tmp_path):
     """The Live panel, connected to a calibrated rig."""
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
     client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    client.use(runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()).result(60)
+    client.use(small_calibration()).result(60)
     panel.form.folder.value = tmp_path
     panel.form.seconds.value = 0
     return panel
@@ -358,8 +357,7 @@ def test_what_the_panel_does_runs_as_a_script(panel, qtbot, tmp_path, monkeypatc
     panel.copy_script()
     text = QApplication.clipboard().text()
     panel.connection.disconnect()
-    small = runpy.run_path(str(HERE / "conftest.py"))["SmallRig"]
-    monkeypatch.setattr("napari_elsplus.acquisition.live_engine.open_live", lambda name: small())
+    monkeypatch.setattr("napari_elsplus.acquisition.live_engine.open_live", lambda name: SmallRig())
     exec(compile(text, "script", "exec"), {})
     (path,) = tmp_path.glob("recording-*.ome.tif")
     with open_recording(path) as recording:
@@ -390,7 +388,7 @@ def test_live_frames_can_be_taken_for_an_axial_response(viewer, panel, qtbot):
 
 
 def test_a_calibration_reaches_the_other_panels_whoever_loaded_it(viewer, qtbot, tmp_path, small_engine):
-    known = runpy.run_path(str(HERE / "conftest.py"))["small_calibration"]()
+    known = small_calibration()
     file = write_calibration(tmp_path / "cal.json", known)
     _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
     _, steps = viewer.window.add_plugin_dock_widget(PLUGIN, "Calibration")
