@@ -260,12 +260,14 @@ class CoreInterpolation:
         cores = find_cores(flat, inside)
         triangles = Delaunay(cores)
         side = len(flat)
-        pixels = np.indices((side, side)).reshape(2, -1).T.astype(float)
-        simplex = triangles.find_simplex(pixels)
+        pixels = np.argwhere(inside).astype(float)
+        simplex = triangles.find_simplex(pixels)  # which tries every triangle for a pixel that is in none
         transform = triangles.transform[simplex]
         two = np.einsum("ijk,ik->ij", transform[:, :2], pixels - transform[:, 2])
-        weights = np.column_stack([two, 1 - two.sum(axis=1)]).astype(np.float32)
-        corners = np.where((simplex >= 0)[:, None] & inside.ravel()[:, None], triangles.simplices[simplex], -1)
+        weights = np.zeros((side, side, 3), np.float32)
+        weights[inside] = np.column_stack([two, 1 - two.sum(axis=1)])
+        corners = np.full((side, side, 3), -1, np.int32)
+        corners[inside] = np.where((simplex >= 0)[:, None], triangles.simplices[simplex], -1)
         sigma_px = _READING_SIGMA_PITCHES * pitch_px
         lit = inside.astype(np.float32)
         wide = 2 * pitch_px
@@ -276,8 +278,8 @@ class CoreInterpolation:
         gain = _read_at(mean, row, col) / np.maximum(reading, _DARKEST_CORE * float(flat[inside].mean()))
         return cls(
             cores,
-            np.ascontiguousarray(corners.reshape(side, side, 3), np.int32),
-            weights.reshape(side, side, 3),
+            corners,
+            weights,
             gain.astype(np.float32),
             sigma_px,
         )
