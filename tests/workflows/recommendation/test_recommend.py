@@ -26,6 +26,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what is said of the expected values alone: uncertainties are of 4 lines instead of 64."""
+    monkeypatch.setattr("napari_elsplus.workflows.recommendation.recommend.DRAWS", 4)
+
+
 @pytest.mark.parametrize("state", ["a", "b"])
 def test_core_and_halo_of_the_standing_line_are_those_of_the_simulated_one(state: str) -> None:
     estimate, true = calibrated_line(calibrated(state)), LINE_MODELS[state]
@@ -72,7 +78,7 @@ def test_a_measured_plate_replaces_the_modelled_spread_and_gap() -> None:
         calibrated_line(calibrated("a"), {"profiles": {"ls": [1.0, 0.5]}})
 
 
-def test_the_recommended_setting_keeps_enough_and_suppresses_haze_best() -> None:
+def test_the_recommended_setting_keeps_enough_and_suppresses_haze_best(few_draws: None) -> None:
     found = recommend(calibrated("b"), 100.0, 0.95)
     assert found.expected.signal_kept == pytest.approx(0.95, abs=1e-3)
     assert found.expected.haze < found.present.haze
@@ -82,7 +88,7 @@ def test_the_recommended_setting_keeps_enough_and_suppresses_haze_best() -> None
     assert abs(less.offset_rows) < abs(found.offset_rows)
 
 
-def test_what_lies_beyond_the_measured_depths_and_compared_offsets_is_noted() -> None:
+def test_what_lies_beyond_the_measured_depths_and_compared_offsets_is_noted(few_draws: None) -> None:
     depths = np.arange(0, 150, 5.0)
     profile = axial_response(depths, offset_um=29.0, line=LINE_MODELS["a"]).ls.tolist()
     plate = {"depth_um": depths.tolist(), "profiles": {"ls": profile}}
