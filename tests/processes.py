@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 
 def exists(pid: int) -> bool:
@@ -12,3 +13,12 @@ def exists(pid: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def runs(pid: int) -> bool:
+    """Whether a process of that number runs; one that has ended does not, also where its parent has not asked yet."""
+    stat = Path(f"/proc/{pid}/stat")
+    try:
+        return exists(pid) and not (stat.parents[1].is_dir() and stat.read_text().split()[2] == "Z")
+    except FileNotFoundError:
+        return False

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from threading import Event, Thread
@@ -63,14 +63,6 @@ def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-@pytest.fixture
-def client(command: tuple[str, ...]) -> Iterator[EngineClient]:
-    with EngineClient(command) as client:
-        client.open("small").result(60)
-        client.configure(SLOW).result(60)
-        yield client
-
-
 def sweep(client: EngineClient) -> Future[object]:
     """Start a sweep, and return once it runs."""
     sweeping = client.measure_step(GALVO, Draft(), 2000)
@@ -98,14 +90,14 @@ def test_what_would_disturb_a_procedure_is_refused_and_told_what_runs(client: En
     client.configure(SLOW).result(20)
 
 
-def test_park_ends_a_procedure_at_once(client: EngineClient, log: Path) -> None:
+def test_park_ends_a_procedure_at_once(client: EngineClient, shared_log: Path) -> None:
     sweeping = sweep(client)
     begun_s = time.monotonic()
     client.park().result(5)
     assert time.monotonic() - begun_s < 1.0
     with pytest.raises(InputError, match="the galvo was parked"):
         sweeping.result(20)
-    assert log.read_text().split()[-1] == "park"
+    assert shared_log.read_text().split()[-1] == "park"
 
 
 def test_a_procedure_leaves_the_calibration_of_before(client: EngineClient, calibration: Calibration) -> None:
@@ -162,19 +154,19 @@ def test_a_heartbeat_timeout_is_refused_if_it_is_none(client: EngineClient) -> N
             client.set_heartbeat_timeout(timeout_s).result(20)
 
 
-def test_a_window_that_processes_no_events_counts_as_frozen(client: EngineClient) -> None:
-    client.set_heartbeat_timeout(TIMEOUT_S).result(20)
-    client.start().result(20)
-    client.hold(0.25).result(20)
-    client.beat_while(lambda: False)
-    until(lambda: bool(client.status.faults))
-    assert "frozen" in client.status.faults[0].problem
-    assert client.status.park_state.parked
-    assert client.status.live
+def test_a_window_that_processes_no_events_counts_as_frozen(own_client: EngineClient) -> None:
+    own_client.set_heartbeat_timeout(TIMEOUT_S).result(20)
+    own_client.start().result(20)
+    own_client.hold(0.25).result(20)
+    own_client.beat_while(lambda: False)
+    until(lambda: bool(own_client.status.faults))
+    assert "frozen" in own_client.status.faults[0].problem
+    assert own_client.status.park_state.parked
+    assert own_client.status.live
 
 
 @pytest.mark.parametrize("rounds", [20, pytest.param(300, marks=pytest.mark.slow)])
-def test_disconnecting_while_images_are_copied(client: EngineClient, calibration: Calibration, rounds: int) -> None:
+def test_disconnecting_while_images_are_copied(own_client: EngineClient, calibration: Calibration, rounds: int) -> None:
     out = {"raw": np.empty((524, 1328), np.uint8)}
     out |= {name: np.empty((466, 466), np.float32) for name in ("ls", "residual", "els", "elsa")}
     reading, stopping = Event(), Event()
@@ -183,7 +175,7 @@ def test_disconnecting_while_images_are_copied(client: EngineClient, calibration
     def read() -> None:
         while not stopping.is_set():
             try:
-                ring = client.display()
+                ring = own_client.display()
                 while ring is not None and len(ring.layout.fields) == 5 and not stopping.is_set():
                     reading.set()
                     if ring.newest_after(-1, out) is None:
@@ -196,16 +188,16 @@ def test_disconnecting_while_images_are_copied(client: EngineClient, calibration
     reader = Thread(target=read)
     reader.start()
     for _ in range(rounds):
-        client.open("small").result(60)
-        client.configure(Settings("240hz", frame_rate_hz=60.0)).result(60)
-        client.use(calibration).result(60)
-        client.start().result(60)
-        until(lambda: client.status.processed > 2)
+        own_client.open("small").result(60)
+        own_client.configure(Settings("240hz", frame_rate_hz=60.0)).result(60)
+        own_client.use(calibration).result(60)
+        own_client.start().result(60)
+        until(lambda: own_client.status.processed > 2)
         reading.clear()
         assert reading.wait(20)
-        client._detach()  # as `close` does, in a thread beside the one that copies
+        own_client._detach()  # as `close` does, in a thread beside the one that copies
     stopping.set()
-    client.close()
+    own_client.close()
     reader.join(20)
     assert not raised
     assert not reader.is_alive()
