@@ -16,14 +16,14 @@ WRITTEN = {
     "measure_the_sectioning": ("signal kept in contact: 82 %", []),
     "mosaic_of_a_recording": ("40 of 40 frames tracked", ["mosaic.ome.tif", "track.csv"]),
     "recommend_an_offset": ("to keep 95 %: slit 8 rows, offset -52.7 rows", []),
-    "run_the_simulated_rig": ("lost: {}", ["live.ome.tif", "live.calibration.json"]),
     "section_a_recording": ("els: 12 images", ["ls.ome.tif", "els.ome.tif", "comparison.png"]),
 }
 """Of each script, a part of what it prints and the files it writes."""
 
 
 def test_every_example_is_run() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(WRITTEN)
+    live = {"run_the_simulated_rig"}  # in test_live_example, as it judges lost frames
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(WRITTEN) | live
 
 
 @pytest.mark.parametrize("name", WRITTEN)
