@@ -36,24 +36,11 @@ from processes import exists
 from small_rig import SmallRig, small_calibration
 
 PLUGIN = "napari-elsplus"
-BLOCKED_FRAMES = 300
-"""More than the engine keeps in memory, so that none is lost only if it does not wait for the window."""
 
 
 @pytest.fixture
 def viewer(small_engine, make_napari_viewer_proxy):
     return make_napari_viewer_proxy()
-
-
-@pytest.fixture
-def panel(viewer, qtbot, tmp_path):
-    """The Live panel, connected to a calibrated rig."""
-    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Live")
-    client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    client.use(small_calibration()).result(60)
-    panel.form.folder.value = tmp_path
-    panel.form.seconds.value = 0
-    return panel
 
 
 def images(viewer):
@@ -117,25 +104,6 @@ def test_park_while_a_start_is_prepared_starts_nothing(viewer, panel, qtbot):
     assert not panel.connection.client.status.live
     start(panel, qtbot)
     stop(panel, qtbot)
-
-
-def test_a_blocked_window_loses_nothing(viewer, panel, qtbot, tmp_path):
-    start(panel, qtbot)
-    panel.form.record.native.click()
-    status = lambda: panel.connection.client.status  # noqa: E731
-    qtbot.waitUntil(lambda: status().recording is not None and status().recording.frames > 0, timeout=30_000)
-    before, end_s = status().recording.frames, time.monotonic() + 60
-    while status().recording.frames < before + BLOCKED_FRAMES:  # the window does nothing else
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-    qtbot.wait(300)
-    panel.form.record.native.click()
-    qtbot.waitUntil(lambda: ended(panel), timeout=30_000)
-    assert status().dropped == {}
-    (path,) = tmp_path.glob("recording-*.ome.tif")
-    with open_recording(path) as recording:
-        assert len(recording) >= before + BLOCKED_FRAMES
-        assert (np.diff(recording.frame_numbers) == 1).all()
 
 
 def test_a_snap_is_one_frame(panel, qtbot, tmp_path):

@@ -9,69 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.io import read_track
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from small_rig import small_calibration
 
 PLUGIN = "napari-elsplus"
 
 
-@pytest.fixture
-def viewer(small_engine, make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
-def panel(viewer, qtbot):
-    """The Mosaic panel, connected to a calibrated rig; LS is laid, since the small rig's views differ little."""
-    _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
-    client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    client.use(small_calibration()).result(60)
-    for mode, box in panel.form.modes.items():
-        box.value = mode == "ls"
-    return panel
-
-
-def go_live(viewer, panel, qtbot, frames=20):
-    qtbot.waitUntil(
-        lambda: panel.form.going_live.enabled and panel.form.going_live.text == "Live mosaic", timeout=30_000
-    )
-    panel.form.going_live.native.click()
-    drawing = lambda: panel.layers.drawing  # noqa: E731
-    qtbot.waitUntil(
-        lambda: "mosaic LS" in viewer.layers and drawing() is not None and drawing().rows.counts["tracked"] > frames,
-        timeout=60_000,
-    )
-
-
-def test_the_live_mosaic_grows_rests_is_undone_saved_and_cleared(viewer, panel, qtbot, tmp_path):
-    go_live(viewer, panel, qtbot)
-    layer = viewer.layers["mosaic LS"]
-    qtbot.waitUntil(lambda: np.nan_to_num(layer.data[0]).max() > 50, timeout=30_000)
-    assert layer.scale == pytest.approx([2.66, 2.66])
-    assert panel.live
-    qtbot.waitUntil(lambda: "mm/s (limit" in panel.form.speed.text, timeout=30_000)
-    qtbot.waitUntil(lambda: panel.form.going_live.text == "Stop live" and panel.form.going_live.enabled, timeout=30_000)
-    panel.save(tmp_path / "live.ome.tif")
-    qtbot.waitUntil(lambda: not panel.work.busy and panel.form.going_live.enabled, timeout=30_000)
-    rows = read_track(tmp_path / "live.track.csv")
-    assert [row.frame for row in rows] == list(range(len(rows)))
-    assert (tmp_path / "live.png").exists()
-
-    panel.form.going_live.native.click()
-    qtbot.waitUntil(lambda: not panel.live, timeout=30_000)
-    assert panel.connection.client.status.live
-    panel.undo()
-    qtbot.waitUntil(lambda: not np.isfinite(layer.data[0]).any(), timeout=30_000)
-    panel.form.clearing.native.click()
-    qtbot.waitUntil(lambda: panel.connection.client.status.track is None, timeout=30_000)
-    assert not [one.name for one in viewer.layers if one.name.startswith("mosaic")]
-    go_live(viewer, panel, qtbot)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
-def test_the_mosaic_of_a_killed_engine_stays_and_can_be_saved(viewer, panel, qtbot, tmp_path):
+def test_the_mosaic_of_a_killed_engine_stays_and_can_be_saved(viewer, panel, qtbot, go_live, tmp_path):
     go_live(viewer, panel, qtbot)
     os.kill(panel.connection.client.pid, signal.SIGKILL)
     qtbot.waitUntil(lambda: panel.connection.client is None, timeout=30_000)
@@ -85,7 +30,7 @@ def test_the_mosaic_of_a_killed_engine_stays_and_can_be_saved(viewer, panel, qtb
     assert not np.isfinite(viewer.layers["mosaic LS"].data[0]).any()
 
 
-def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewer, panel, qtbot):
+def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewer, panel, qtbot, go_live):
     viewer.add_image(np.ones((400, 300)), name="live", scale=(2, 2))
     go_live(viewer, panel, qtbot)
     assert viewer.layers["live"].visible
@@ -100,7 +45,7 @@ def test_it_lies_beside_the_live_images_and_a_stack_is_not_disturbed_by_it(viewe
     assert "of 6 frames" in panel.form.status.text()
 
 
-def test_images_side_by_side_make_room_for_the_live_panels(viewer, panel, qtbot):
+def test_images_side_by_side_make_room_for_the_live_panels(viewer, panel, qtbot, go_live):
     for mode, box in panel.form.modes.items():
         box.value = mode in ("ls", "elsa", "els")
     go_live(viewer, panel, qtbot)
@@ -116,7 +61,7 @@ def test_images_side_by_side_make_room_for_the_live_panels(viewer, panel, qtbot)
     assert all(viewer.layers[name].visible for name in names)
 
 
-def test_an_unsaved_live_mosaic_is_replaced_only_if_the_user_agrees(viewer, panel, qtbot, tmp_path, questions):
+def test_an_unsaved_live_mosaic_is_replaced_only_if_the_user_agrees(viewer, panel, qtbot, go_live, tmp_path, questions):
     go_live(viewer, panel, qtbot)
     assert questions == [], "there was no mosaic yet"
     first = panel._shown
@@ -153,7 +98,7 @@ def test_an_unsaved_live_mosaic_is_replaced_only_if_the_user_agrees(viewer, pane
     assert len(questions) == 2
 
 
-def test_an_unsaved_live_mosaic_is_cleared_only_if_the_user_agrees(viewer, panel, qtbot, questions):
+def test_an_unsaved_live_mosaic_is_cleared_only_if_the_user_agrees(viewer, panel, qtbot, go_live, questions):
     """Before: Ctrl+Shift+K, beside the key of the live mosaic, discarded it."""
     go_live(viewer, panel, qtbot)
     questions.answer = False
@@ -167,7 +112,7 @@ def test_an_unsaved_live_mosaic_is_cleared_only_if_the_user_agrees(viewer, panel
     assert "mosaic LS" not in viewer.layers
 
 
-def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, panel, qtbot):
+def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, panel, qtbot, go_live):
     go_live(viewer, panel, qtbot)
     first = panel._shown
     viewer.add_image(np.full((4, 60, 60), np.nan), name="broken", contrast_limits=(0, 1))
@@ -180,7 +125,7 @@ def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, pan
     assert viewer.layers["broken"].visible
 
 
-def test_the_rig_is_connected_by_the_calibration_that_the_panels_share(viewer, qtbot):
+def test_the_rig_is_connected_by_the_calibration_that_the_panels_share(viewer, qtbot, go_live):
     known = small_calibration()
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic")
     panel.connection.apply(known)
