@@ -282,11 +282,17 @@ def test_every_test_runs_once_in_two_processes_or_in_turn(
         assert ((path in in_two), (f"--ignore={path}" in in_turn)) == (shared, shared)
 
 
-def test_tests_of_times_devices_and_safety_have_the_computer_alone(run: ModuleType) -> None:
-    alone = "acquisition/engine", "acquisition/link", "acquisition/streaming", "hardware/daq", "safety", "widgets/live"
-    for folder in alone:
-        for test in (PROJECT / "tests" / folder).rglob("test_*.py"):
-            assert not [path for path in run.PURE + run.PATIENT if test.is_relative_to(PROJECT / path)]
+def test_tests_of_times_devices_and_losses_have_the_computer_alone(run: ModuleType) -> None:
+    alone = (
+        "acquisition/engine/test_engine.py", "acquisition/engine/test_misbehaving_clock.py",
+        "acquisition/link/test_in_time.py", "acquisition/link/test_transactions.py", "acquisition/streaming",
+        "examples/test_live_example.py", "hardware/daq", "hardware/test_guardian.py", "safety/test_promises.py",
+        "widgets/live/test_no_loss.py", "widgets/live/test_rehearsal.py", "widgets/live_mosaic/test_every_frame.py",
+    )  # fmt: skip
+    for path in alone:
+        assert (PROJECT / "tests" / path).exists()
+        for shared in run.PURE + run.PATIENT:
+            assert not (PROJECT / "tests" / path).is_relative_to(PROJECT / shared)
 
 
 def test_what_runs_beside_is_told_at_its_end_with_its_exit_code(
