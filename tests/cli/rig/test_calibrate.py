@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_elsplus.acquisition.calibrating.simulated import QUICK_VOLTAGES
 from napari_elsplus.io import read_calibration, write_column
 from napari_elsplus.simulation.accuracy import calibration_errors
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -153,7 +154,7 @@ def test_the_simulated_rig_is_calibrated_live(
     elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "napari_elsplus.acquisition.calibrating.live.SWEEP_VOLTAGES", 100
+        "napari_elsplus.acquisition.calibrating.live.SWEEP_VOLTAGES", QUICK_VOLTAGES
     )  # the camera is no faster than a real one
     out = tmp_path / "live.json"
     run = elsplus("calibrate", "--rig", "simulated", "-o", out)
