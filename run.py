@@ -46,6 +46,9 @@ DEMO = ROOT / "elsplus-demo"
 NOT_FOR_CHILDREN = ("PYTHONHOME", "PYTHONPATH", "PIP_USER", "PIP_TARGET", "PYTHONDONTWRITEBYTECODE")
 """Variables that would make the .venv import, or install into, other places than itself, or compile at every start."""
 
+COMPILE = "import compileall, sysconfig; compileall.compile_dir(sysconfig.get_path('purelib'), quiet=2, workers=0)"
+"""Compiles what was installed on all cores, where pip uses one; what is not Python, such as a template, is left."""
+
 EXTRAS = "pyqt,video,zarr,batch,genicam"
 PURE = (
     "tests/acquisition/mosaic",
@@ -244,7 +247,7 @@ def prepare(*groups: str) -> bool:
     if present is not None and present.issuperset(groups):
         return False
     quiet = [] if sys.stdout.isatty() else ["-qq"]
-    pip = [python(), "-m", "pip", "install", "--disable-pip-version-check", *quiet]
+    pip = [python(), "-m", "pip", "install", "--disable-pip-version-check", "--no-compile", *quiet]
     if present is None:
         say(f"installing into {VENV}: some minutes, the first time only")
         if importlib.util.find_spec("ensurepip") is None:
@@ -257,6 +260,7 @@ def prepare(*groups: str) -> bool:
     wanted = sorted((present or set()).union(groups))
     chosen = [word for group in wanted for word in ("--group", group)]
     must("installing", [*pip, "--constraint", "constraints.txt", "--editable", f".[{EXTRAS}]", *chosen])
+    run([python(), "-c", COMPILE])
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "groups": wanted}), encoding="utf-8")
     return True
 

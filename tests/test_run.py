@@ -124,12 +124,14 @@ def test_pip_is_upgraded_before_dependency_groups_and_the_stamp_comes_last(run: 
 
     run.run = watched
     run.prepare("lint", "test")
-    making, upgrading, installing = recorder.said()
+    making, upgrading, installing, compiling = recorder.said()
     assert "-m venv --clear" in making
     assert "--upgrade pip" in upgrading
+    assert "--no-compile" in installing
+    assert compiling.endswith(run.COMPILE)
     words = "--constraint constraints.txt --editable .[pyqt,video,zarr,batch,genicam] --group lint --group test"
     assert words in installing
-    assert stamped == [False, False, False]
+    assert stamped == [False, False, False, False]
     assert run.STAMP.exists()
 
 
@@ -144,9 +146,21 @@ def test_groups_are_added_without_a_rebuild_and_kept(run: ModuleType, recorder: 
     run.prepare("lint")
     recorder.commands.clear()
     run.prepare("test")
-    (installing,) = recorder.said()
+    installing, _ = recorder.said()
     assert installing.endswith("--group lint --group test")
     assert run.installed_groups() == {"lint", "test"}
+
+
+def test_what_was_installed_is_compiled_but_for_what_is_no_python(run: ModuleType, tmp_path: Path) -> None:
+    installed = tmp_path / "installed"
+    installed.mkdir()
+    (installed / "module.py").write_text("x = 1\n")
+    (installed / "template.py").write_text("x = {{ x }\n")
+    code = f"import sysconfig; sysconfig.get_path = lambda name: {str(installed)!r}; {run.COMPILE}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+    (compiled,) = installed.glob("__pycache__/*.pyc")
+    assert compiled.name.startswith("module.")
 
 
 @pytest.mark.parametrize("change", ["pyproject.toml", "constraints.txt", "python", "interpreter", "stamp", "place"])
