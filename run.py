@@ -370,8 +370,8 @@ def test(everything: bool) -> int:
     steps = (
         ("ruff check", [python(), "-m", "ruff", "check", "."]),
         ("ruff format", [python(), "-m", "ruff", "format", "--check", "."]),
-        ("npe2 validate", [python(), "-m", "npe2", "validate", "--imports", "napari-elsplus"]),
     )
+    plugin = [python(), "-m", "npe2", "validate", "--imports", "napari-elsplus"]
     codes = {}
     with tempfile.TemporaryDirectory() as folder:
         more = {"NAPARI_CONFIG": str(Path(folder, "settings.yaml")), "NAPARI_STRICT_QT": "1"}
@@ -379,8 +379,9 @@ def test(everything: bool) -> int:
         for name, command in steps:
             say(f"== {name}")
             codes[name] = run(command, **more)
-        say("== mypy, while kernels are compiled")
-        with beside([python(), "-m", "mypy"], codes, "mypy", **more):
+        say("== mypy and npe2 validate, while kernels are compiled")
+        types = beside([python(), "-m", "mypy"], codes, "mypy", **more)
+        with types, beside(plugin, codes, "npe2 validate", **more):
             warm_up(ELSPLUS_CACHE=cache, ELSPLUS_CONFIG=str(Path(folder, "settings")), **more)
         say("== pytest in two processes")
         codes["pytest in two processes"] = run(in_two, OMP_NUM_THREADS="1", **more)

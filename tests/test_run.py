@@ -281,8 +281,8 @@ def test_every_test_runs_once_in_two_processes_or_in_turn(
     monkeypatch.setattr(run.sys, "platform", "linux")
     monkeypatch.setattr(run, "screen_answers", lambda: screen)
     run.main(["test"])
-    _, types, live, _, in_two, in_turn = recorder.commands[-6:]
-    assert (types[-1], live[1]) == ("mypy", "acquire")
+    types, plugin, live, _, in_two, in_turn = recorder.commands[-6:]
+    assert (types[-1], plugin[3], live[1]) == ("mypy", "validate", "acquire")
     cache = recorder.environments[-4]["ELSPLUS_CACHE"]
     assert recorder.environments[-2]["OMP_NUM_THREADS"] == "1"
     assert {environment["ELSPLUS_TEST_CACHE"] for environment in recorder.environments[-2:]} == {cache}
