@@ -8,7 +8,7 @@ import pytest
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import replacing, replacing_all
-from napari_elsplus.io.atomic import remove_unfinished
+from napari_elsplus.io.atomic import in_folder, real_path, remove_unfinished
 
 
 def names(folder):
@@ -122,3 +122,56 @@ def test_a_link_is_replaced_and_what_it_names_stays(tmp_path, name, existing):
     assert (link / "zarr.json" if folder else link).read_text() == "new"
     assert names(place.parent) == ([name] if existing else [])
     assert not existing or (names(place) == [] if folder else place.read_text() == "")
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError("6 requested and 4 written")])
+def test_an_error_of_the_disk_names_the_file_that_was_to_be_written(tmp_path, error):
+    """Before: it named none, or one that was nobody's."""
+
+    def written_to(*names):
+        with replacing_all(*(tmp_path / name for name in names)):
+            raise error
+
+    for named in (("a.txt",), ("a.txt", "b.txt")):
+        with pytest.raises(OSError, match=r"not all of it|No space") as raised:
+            written_to(*named)
+        assert raised.value.filename == str(tmp_path / "a.txt")
+        assert raised.value.errno == error.errno
+
+
+def test_the_file_beside_is_not_named_but_others_are(tmp_path):
+    def opened(name):
+        with replacing(tmp_path / "a.zarr") as beside:
+            (beside / name if name else tmp_path / "other").read_text()
+
+    for name, named in (("0", tmp_path / "a.zarr"), ("", tmp_path / "other")):
+        with pytest.raises(FileNotFoundError) as raised:
+            opened(name)
+        assert raised.value.filename == str(named)
+
+
+def test_a_folder_that_may_not_be_written_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: not (str(path) == str(tmp_path) and mode == os.W_OK))
+    with pytest.raises(InputError, match=f"the folder {tmp_path} may not be written"), replacing(tmp_path / "a"):
+        raise AssertionError("work was done")
+
+
+def test_a_folder_for_files_that_were_not_written_is_not_left(tmp_path):
+    def failing(folder, written):
+        with in_folder(folder):
+            for name in written:
+                (folder / name).write_text("")
+            raise ZeroDivisionError
+
+    (tmp_path / "old").mkdir()
+    for folder, written in (("old", ()), ("new/folder", ()), ("kept", ("a",))):
+        with pytest.raises(ZeroDivisionError):
+            failing(tmp_path / folder, written)
+    assert names(tmp_path) == ["kept", "old"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_links_in_a_circle_have_a_path(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    assert real_path(tmp_path / "a").parent == tmp_path.resolve()

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import refuse_existing, refuse_suffix
+from napari_elsplus.io.atomic import real_path
 from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
@@ -150,18 +151,19 @@ def refuse_outputs(
         suffix.
     """
     wanted = [path for path in paths if path is not None]
-    read = {path.resolve() for path in inputs if path is not None}
+    read = {real_path(path) for path in inputs if path is not None}
     for index, path in enumerate(wanted):
-        if path.resolve() in read:
+        real = real_path(path)
+        if real in read:
             raise InputError(f"{path} is read, and would be overwritten", "name another file to write")
-        held = min((one for one in read if path.resolve() in one.parents), default=None)
+        held = min((one for one in read if real in one.parents), default=None)
         if held is not None:
             raise InputError(f"{path} holds {held.name}, which is read", "name another file to write")
-        folder = next((parent for parent in path.resolve().parents if parent in read), None)
+        folder = next((parent for parent in real.parents if parent in read), None)
         if folder is not None and _is_image(path):
             raise InputError(f"{path} lies in {folder.name}, which is read, and would be a frame of it", "name another")
         refuse_existing(path, force=force)
-        if path.resolve() in [other.resolve() for other in wanted[:index]]:
+        if real in map(real_path, wanted[:index]):
             raise InputError(f"{path} is named twice", "name another file for one of them")
         if path in suffixes:
             refuse_suffix(path, suffixes[path])

@@ -16,6 +16,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
+def real_path(path: str | os.PathLike[str]) -> Path:
+    """Return the absolute path of a file without links; also of links in a circle, at which `Path.resolve` fails.
+
+    Parameters
+    ----------
+    path : path-like
+        File or folder; it need not exist.
+    """
+    return Path(os.path.realpath(path))
+
+
 def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Raise an error if a target must not be written, before any work is done for it.
 
@@ -29,11 +40,14 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
     Raises
     ------
     InputError
-        If it exists and `force` is not given, is a folder or a device, or lies in a folder that does not exist.
+        If it exists and `force` is not given, is a folder or a device, or lies in a folder that does not exist or
+        cannot be written.
     """
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}", "create it, or name another output")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {path.parent} may not be written", "name another output")
     if os.path.lexists(path) and not force:
         raise InputError(f"{path} exists", "give --force to replace it, or name another output")
     if path.is_dir() and path.suffix != ".zarr":
@@ -106,10 +120,43 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     refuse_existing(target, force=force)
     beside = target.with_name(f".{token_hex(4)}.{target.name}")
     try:
-        yield beside
-        put_in_place(beside, target)
+        with _errors_of(target, beside):
+            yield beside
+            put_in_place(beside, target)
     finally:
         _remove(beside)
+
+
+@contextmanager
+def _errors_of(target: Path, beside: Path | None = None) -> Iterator[None]:
+    """Let errors of the disk that name no file, or the one beside the target, name the target."""
+    try:
+        yield
+    except OSError as error:
+        named = error.filename
+        if named is not None and (beside is None or beside not in (Path(str(named)), *Path(str(named)).parents)):
+            raise
+        problem = error.strerror or "not all of it could be written"
+        raise OSError(error.errno, problem, str(target)) from error
+
+
+@contextmanager
+def in_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, if it does not exist, for files that are written within the context; on an error without any, not.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Its parents are made, too.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        for made in missing:
+            with suppress(OSError):  # it is not empty
+                made.rmdir()
 
 
 def put_in_place(finished: Path, target: Path) -> None:
@@ -160,7 +207,9 @@ def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterat
     for path in paths:
         refuse_existing(path, force=force)
     with ExitStack() as stack:
-        yield [stack.enter_context(replacing(path, force=force)) for path in paths]
+        besides = [stack.enter_context(replacing(path, force=force)) for path in paths]
+        with _errors_of(Path(paths[0])):
+            yield besides
 
 
 def flush(path: Path) -> None:

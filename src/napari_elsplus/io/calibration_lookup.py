@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import FORMAT, Calibration
+from napari_elsplus.io.atomic import real_path
 from napari_elsplus.io.calibrations import MAX_JSON_BYTES, parse_calibration, read_calibration
 from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.io.settings import active_calibration
@@ -31,7 +32,7 @@ def beside(recording: str | os.PathLike[str], ending: str) -> Path:
     'scan.depths.csv'
     """
     path = Path(recording)
-    path = path if path.name else path.resolve()  # "." has no name
+    path = path if path.name else real_path(path)  # "." has no name
     return path.with_name(recording_stem(path.name) + ending)
 
 
@@ -46,7 +47,7 @@ def existing_beside(recording: str | os.PathLike[str], ending: str) -> Path | No
         As for :func:`beside`. Earlier versions appended it to the full name of recordings in .btf.
     """
     named = beside(recording, ending)
-    candidates = (named, named.with_name(Path(recording).resolve().name + ending))
+    candidates = (named, named.with_name(real_path(recording).name + ending))
     return next((path for path in candidates if path.is_file()), None)
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.atomic import real_path, replacing
 from napari_elsplus.io.user_folders import config_folder
 
 _SECTION: Final = "calibration"
@@ -70,7 +70,7 @@ def active_calibration() -> Path | None:
 
 def set_active_calibration(calibration: str | os.PathLike[str] | None) -> None:
     """Make a `calibration` file the active one; None leaves no active calibration."""
-    path = None if calibration is None else str(Path(calibration).resolve())
+    path = None if calibration is None else str(real_path(calibration))
     remember(_SECTION, **{_ACTIVE: path, _ACTIVE_BEFORE: None})
 
 

@@ -18,6 +18,7 @@ from napari_elsplus.io import (
     write_calibration,
     write_json,
 )
+from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
@@ -115,29 +116,29 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
         If a file exists and `force` is not given.
     """
     started = perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in FILES:
-        refuse_existing(folder / name, force=force)
-    stage = _Stage(Instrument.of("240hz"), folder, force, progress)
-    calibration = _calibrate(stage)
-    _record(stage, calibration)
-    tracks, mosaics, mosaic_um_per_px = _process(stage, calibration)
-    slow = _slow_frames(stage.instrument)
-    comparison = compare(slow, calibration)
-    figure = draw_comparison(comparison)
-    save_figure(figure, folder / "comparison.png", force=force)
-    sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics, mosaic_um_per_px)
-    save_figure(sheet, folder / "contact_sheet.png", force=force)
-    report = {
-        "software": SOFTWARE,
-        "rig": f"simulated, {stage.instrument.preset.name}",
-        "calibration_errors": asdict(calibration_errors(calibration, stage.instrument)),
-        "correlation_with_focal_plane": _sectioning(stage, calibration),
-        "tracking": {mode.value: asdict(errors) for mode, errors in tracks.items()},
-        "seconds": round(perf_counter() - started, 1),
-    }
-    write_json(folder / "report.json", report, indent=2, force=force)
-    return report
+    with in_folder(folder):
+        for name in FILES:
+            refuse_existing(folder / name, force=force)
+        stage = _Stage(Instrument.of("240hz"), folder, force, progress)
+        calibration = _calibrate(stage)
+        _record(stage, calibration)
+        tracks, mosaics, mosaic_um_per_px = _process(stage, calibration)
+        slow = _slow_frames(stage.instrument)
+        comparison = compare(slow, calibration)
+        figure = draw_comparison(comparison)
+        save_figure(figure, folder / "comparison.png", force=force)
+        sheet = draw_contact_sheet(slow[0], calibration, comparison, mosaics, mosaic_um_per_px)
+        save_figure(sheet, folder / "contact_sheet.png", force=force)
+        report = {
+            "software": SOFTWARE,
+            "rig": f"simulated, {stage.instrument.preset.name}",
+            "calibration_errors": asdict(calibration_errors(calibration, stage.instrument)),
+            "correlation_with_focal_plane": _sectioning(stage, calibration),
+            "tracking": {mode.value: asdict(errors) for mode, errors in tracks.items()},
+            "seconds": round(perf_counter() - started, 1),
+        }
+        write_json(folder / "report.json", report, indent=2, force=force)
+        return report
 
 
 def _calibrate(stage: _Stage) -> Calibration:

@@ -23,6 +23,7 @@ from napari_elsplus.io import (
     write_json,
     write_stack,
 )
+from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes, truth
@@ -246,14 +247,14 @@ class SimulatedCalibrationFrames:
         """
         folder = Path(folder)
         parts = {"line": self.line, "sweep": self.sweep, "transmission": self.bundle, "background": self.background}
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (*(f"{part}.tif" for part in parts), "sweep_volts.csv", "truth.json"):
-            refuse_existing(folder / name, force=force)
-        for part, frames in parts.items():
-            shown = (frames[index] for index in progress(range(len(frames)), part))
-            write_stack(folder / f"{part}.tif", shown, ImageMetadata(um_per_px=self.um_per_px), force=force)
-        write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
-        write_json(folder / "truth.json", self.truth, allow_nan=False, force=force)
+        with in_folder(folder):
+            for name in (*(f"{part}.tif" for part in parts), "sweep_volts.csv", "truth.json"):
+                refuse_existing(folder / name, force=force)
+            for part, frames in parts.items():
+                shown = (frames[index] for index in progress(range(len(frames)), part))
+                write_stack(folder / f"{part}.tif", shown, ImageMetadata(um_per_px=self.um_per_px), force=force)
+            write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
+            write_json(folder / "truth.json", self.truth, allow_nan=False, force=force)
 
 
 def simulate_calibration(

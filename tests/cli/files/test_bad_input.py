@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -142,3 +143,26 @@ def test_an_output_folder_that_holds_what_is_read(elsplus: Callable[..., Run], s
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "out.zarr holds cal.json, which is read" in ended.err
     assert {file: file.read_bytes() for file in output.iterdir()} == held
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        ("process -c loop.tif", "out.tif"),
+        ("mosaic -c loop.tif", "out.tif"),
+        ("compare -c loop.tif", "out.png"),
+        ("axial", "out.json"),
+        ("calibrate --line", "out.json"),
+        ("recommend --depth-um 30 -c", "out.json"),
+    ],
+)
+def test_a_link_that_leads_to_itself_is_said_in_one_line(
+    elsplus: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, output: str
+) -> None:
+    """Before: a traceback."""
+    loop = tmp_path / "loop.tif"
+    loop.symlink_to(loop)
+    monkeypatch.chdir(tmp_path)
+    run = elsplus(*command.split(), loop, "-o", output)
+    assert (run.code, run.err.count("\n"), "loop.tif" in run.err) == (2, 1, True)

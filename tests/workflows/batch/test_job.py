@@ -55,17 +55,23 @@ def test_a_folder_with_recordings_in_subfolders_alone_names_them_in_the_error(tm
 
 @pytest.mark.parametrize(
     ("content", "problem"),
-    [("", "names no recordings"), ("a/scan.tif\na/scan.tif\n", "two recordings are called a-scan")],
+    [
+        ("", "names no recordings"),
+        ("a/scan.tif\na/scan.tif\n", "two recordings are called a-scan"),
+        ('{\n "made_by": 1\n}', "no file that .*list.txt lists is there, {.* is the first: give a text file of one"),
+    ],
 )
 def test_lists_that_cannot_be_used_are_refused(tmp_path: Path, content: str, problem: str) -> None:
+    touched(tmp_path / "a" / "scan.tif")
     (tmp_path / "list.txt").write_text(content)
     with pytest.raises(InputError, match=problem):
         find_recordings(tmp_path / "list.txt")
 
 
 def test_sources_that_are_neither_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no folder or list"):
-        find_recordings(tmp_path / "absent")
+    for absent in ("absent", "absent.tif"):
+        with pytest.raises(InputError, match="no folder or list"):
+            find_recordings(tmp_path / absent)
     (scan,) = touched(tmp_path / "scan.tif")
     with pytest.raises(InputError, match="is one recording"):
         find_recordings(scan)

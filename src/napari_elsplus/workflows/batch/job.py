@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import real_path
 from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
 from napari_elsplus.io.text import read_lines, write_json
@@ -27,6 +29,7 @@ FORMATS: Final = {"ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr"}
 """Suffix of the files of images and mosaics by the name of their format."""
 MAX_LIST_BYTES: Final = 16 << 20
 """Chosen: a list of a hundred thousand paths has some 10 MB; a larger file is another one, named by mistake."""
+_ONE_PATH_PER_LINE: Final = "give a text file of one path per line"
 Values = dict[str, Any]
 
 
@@ -213,12 +216,15 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _in_list(file: Path) -> list[Path]:
-    if format_of_name(file) is not None:
-        raise InputError(f"{file} is one recording", "give a folder, or a text file that lists one path per line")
     if not file.exists():
         raise InputError(f"there is no folder or list {file}", "check the path")
-    lines = read_lines(file, "give a text file of one path per line", MAX_LIST_BYTES)
-    return [file.parent / line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if format_of_name(file) is not None:
+        raise InputError(f"{file} is one recording", "give a folder, or a text file that lists one path per line")
+    lines = read_lines(file, _ONE_PATH_PER_LINE, MAX_LIST_BYTES)
+    listed = [file.parent / line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if listed and not any(map(os.path.lexists, listed)):
+        raise InputError(f"no file that {file} lists is there, {listed[0].name:.60} is the first", _ONE_PATH_PER_LINE)
+    return listed
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:
@@ -226,7 +232,7 @@ def _names(recordings: Sequence[Path]) -> list[str]:
     stems = [recording_stem(path.name) for path in recordings]
     count = Counter(stems)
     names = [
-        stem if count[stem] == 1 else f"{path.resolve().parent.name}-{stem}"
+        stem if count[stem] == 1 else f"{real_path(path).parent.name}-{stem}"
         for stem, path in zip(stems, recordings, strict=True)
     ]
     twice = [name for name, times in Counter(names).items() if times > 1]

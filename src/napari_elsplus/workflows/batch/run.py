@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io import read_calibration, replacing
+from napari_elsplus.io.atomic import real_path
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.processing.progress import Progress, without_display
@@ -116,9 +117,9 @@ def batch(
         read_calibration(calibration)  # refused here, once
     _require_format(file_format)
     recordings = find_recordings(Path(source))
-    chosen = None if calibration is None else str(Path(calibration).resolve())
-    job = BatchJob(str(Path(output).resolve()), Mode(mode).value, mosaic, chosen, file_format)
-    items = [BatchItem(name, str(path.resolve()), job) for name, path in recordings.items()]
+    chosen = None if calibration is None else str(real_path(calibration))
+    job = BatchJob(str(real_path(output)), Mode(mode).value, mosaic, chosen, file_format)
+    items = [BatchItem(name, str(real_path(path)), job) for name, path in recordings.items()]
     with batch_client(scheduler, workers) as client:
         open_output(job)
         announce(client.dashboard_link)
