@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live, use_simulated_calibration
 from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.priority import settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
@@ -106,7 +107,9 @@ def open_engine(
         require_calibration(calibration)
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
+            engine.show(LiveView(modes=frozenset()))  # nobody looks
             use_simulated_calibration(opened, engine, progress=progress)
+            engine.show(LiveView())
         else:
             engine.use(calibration)
         yield engine

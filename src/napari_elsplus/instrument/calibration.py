@@ -100,8 +100,9 @@ class GalvoSection(Section):
     """Galvo map: voltage that puts the line onto a row of the confocal view, at the confocal centre's column.
 
     ``lag_s`` is None where it was not measured; files of version 1 with exactly 0 are read as that. ``bow_rows`` is
-    by how much the line's ends at the bundle's rim lie below its middle. ``natural_hz`` and
-    ``damping`` are the galvo's resonance (Hz) and damping ratio, None unless they were fitted to the scan.
+    by how much the line's ends at the bundle's rim lie below its middle. ``natural_hz`` and ``damping`` are the galvo's
+    resonance (Hz) and damping ratio, None unless they were fitted to the scan. In that, ``rows_off`` rows miss the slit
+    by more than a quarter of it; a galvo that is too slow follows frames at ``highest_rate_hz``, 0 if it follows none.
     """
 
     volts_per_row: Finite
@@ -116,6 +117,8 @@ class GalvoSection(Section):
     bow_uncertainty_rows: NonNegative | None = None
     natural_hz: Positive | None = None
     damping: Positive | None = None
+    rows_off: Annotated[int, Field(ge=0)] | None = None
+    highest_rate_hz: NonNegative | None = None
 
     @field_validator("lag_s")
     @classmethod
@@ -375,13 +378,7 @@ class Calibration(Section):
         return self.model_copy(update={"galvo": self.measured_galvo.model_copy(update=changes)})
 
     def with_optics(self, **changes: float | None) -> Calibration:
-        """Return the calibration with other values of the optics section, which is added if there is none.
-
-        Raises
-        ------
-        CalibrationError
-            If a value of `changes` is impossible.
-        """
+        """Return the calibration with `changes` of the optics section; a `CalibrationError` if one is impossible."""
         try:
             optics = OpticsSection.model_validate({**dict(self.optics or ()), **changes})
         except ValidationError as error:

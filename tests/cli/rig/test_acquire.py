@@ -104,6 +104,7 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
     [
         ("lag_s", "scan lag not measured: the image is off the slit"),
         ("galvo", "the galvo stayed parked and frames are"),
+        ("speed", "451 rows miss the slit, the galvo is too slow: choose 237 frames per second or fewer"),
     ],
 )
 def test_what_keeps_the_images_from_being_right_is_noted(
@@ -111,8 +112,12 @@ def test_what_keeps_the_images_from_being_right_is_noted(
 ) -> None:
     """Before: dark frames, or frames off the slit, were recorded and tracked without a word."""
     known = read_calibration(calibration_file)
-    less = known.model_copy(update={"galvo": None}) if lacking == "galvo" else known.with_galvo(lag_s=None)
-    write_calibration(tmp_path / "less.json", less)
+    less = {
+        "lag_s": known.with_galvo(lag_s=None),
+        "galvo": known.model_copy(update={"galvo": None}),
+        "speed": known.with_galvo(rows_off=451, highest_rate_hz=237.0),
+    }
+    write_calibration(tmp_path / "less.json", less[lacking])
     files = ("--report", tmp_path / "report.json", "--track", tmp_path / "track.csv")
     run = elsplus("acquire", "-c", tmp_path / "less.json", "--seconds", 0.5, *files)
     assert run.code == 0, run.err

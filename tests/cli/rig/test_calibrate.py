@@ -199,12 +199,15 @@ def test_what_a_rig_states_itself_is_refused_beside_it(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_preset_without_a_rig_is_refused(elsplus: Elsplus, open_recording: Path, tmp_path: Path) -> None:
-    """Before: it was ignored without a word."""
-    line = ("calibrate", "--line", open_recording / "line.tif", "--preset", "120hz")
+@pytest.mark.parametrize("option", [("--preset", "120hz"), ("--rate-hz", 60)])
+def test_settings_of_the_camera_without_a_rig_are_refused(
+    elsplus: Elsplus, open_recording: Path, tmp_path: Path, option: tuple[str, str | int]
+) -> None:
+    """Before: the preset was ignored without a word."""
+    line = ("calibrate", "--line", open_recording / "line.tif", *option)
     ran = elsplus(*line, "-o", tmp_path / "cal.json")
     assert ran.code == 2
-    assert "--preset" in ran.err
+    assert option[0] in ran.err
 
 
 @pytest.mark.slow

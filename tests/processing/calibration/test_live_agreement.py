@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.instrument.calibration import Calibration, GalvoSection
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.live_agreement import LiveAgreement
 from napari_elsplus.simulation import calibration_scenes
@@ -65,6 +65,18 @@ def test_a_residual_view_brighter_than_the_confocal_one_is_stated(agreement: Liv
     found = agreement.disagreement(moving("sparse", shaded))
     assert found is not None
     assert "brighter than the confocal view" in found.problem
+
+
+def test_a_line_that_is_known_to_be_off_its_slit_is_no_reason_to_measure_the_gain_again(
+    calibration: Calibration,
+) -> None:
+    """Before: a galvo that is too slow was reported as a shaded view, for ever, however often it was measured."""
+    galvo = GalvoSection(volts_per_row=1e-3, volts_at_row_zero=0, r_squared=1, rms_rows=0, lag_s=3e-4)
+    late = np.arange(INSTRUMENT.frame_shape[0]) - INSTRUMENT.offset_rows
+    frames = [Renderer(INSTRUMENT, scene("nuclei", 5), seed=5).render(0, line_rows=late)]
+    for rows_off, said in ((0, True), (400, False)):
+        known = calibration.model_copy(update={"galvo": galvo.model_copy(update={"rows_off": rows_off})})
+        assert (LiveAgreement(known, INSTRUMENT.frame_shape).disagreement(frames) is not None) is said
 
 
 def test_a_line_on_the_slit_of_the_residual_view_is_stated(agreement: LiveAgreement) -> None:

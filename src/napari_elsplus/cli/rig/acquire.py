@@ -23,7 +23,7 @@ from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.priority import keep_pace
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.instrument.optics import PRESETS
-from napari_elsplus.instrument.scanning import dark_advice, lag_advice
+from napari_elsplus.instrument.scanning import dark_advice, lag_advice, rate_advice
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -75,6 +75,7 @@ def command(
     from napari_elsplus.io import beside, read_calibration, refuse_suffix, write_json
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.io.recorder import RECORDING_SUFFIXES
+    from napari_elsplus.processing.images.modes import Mode
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     read, suffixes = calibration_files(calibration), {track: ".csv", report: ".json"}
@@ -90,16 +91,18 @@ def command(
         if given is not None:
             engine.use(given)
         else:
+            engine.show(LiveView(modes=frozenset()))  # nobody looks
             use_simulated_calibration(rig, engine, progress=calibration_progress)
         assert engine.calibration is not None
-        tracker = None
+        tracker, modes = None, frozenset(Mode)
         if mosaic is not None or track is not None:
             from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             held.callback(tracker.close)
             engine.track(tracker)
-            engine.show(LiveView(modes=frozenset()))  # nobody looks at other images than the mosaic
+            modes = frozenset()  # nobody looks at other images than the mosaic
+        engine.show(LiveView(modes=modes))
         gc.freeze()  # also what the calibration and the track have allocated
         engine.start()
         if record is not None:
@@ -172,6 +175,8 @@ def notes(status: Status, calibration: Calibration) -> Iterator[str]:
     yield from filter(None, (saturated, status.notice, status.disagreement, dark_advice(calibration)))
     if lag:
         yield f"{lag}; `calibrate --rig` and the Calibration panel measure it"
+    if rate := rate_advice(calibration):
+        yield f"{rate}; `acquire` and `calibrate --rig` take --rate-hz"
     for section, reason in status.stale.items():
         yield f"the calibration's {section} may not hold: {reason}"
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import Target
 
@@ -65,6 +66,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--rows-per-frame", type=POSITIVE, help="Line periods from one frame to the next.")
 @click.option("--rig", help="Measure everything live on this rig instead; `simulated` runs unattended.")
 @click.option("--preset", type=click.Choice(list(PRESETS)), help=f"With --rig.  [default: {DEFAULT_PRESET}]")
+@click.option("--rate-hz", type=POSITIVE, help="With --rig: frames per second.  [default: the preset's]")
 @click.option("-o", "--output", type=FILE, required=True, help="Calibration file to write, NAME.json.")
 @click.option(
     "--report",
@@ -75,6 +77,7 @@ def _step_options(command: Callable[..., None]) -> Callable[..., None]:
 def command(
     rig: str | None,
     preset: str | None,
+    rate_hz: float | None,
     volts: Path | None,
     um_per_px: float | None,
     bundle_um: float | None,
@@ -112,11 +115,14 @@ def command(
                 raise InputError(f"--{name} {value} with --rig", instead)
     elif preset is not None:
         raise InputError(f"--preset {preset} without --rig", "frames from files have their own size and timing")
+    elif rate_hz is not None:
+        raise InputError(f"--rate-hz {rate_hz:g} without --rig", "give --rows-per-frame with frames from files")
     elif not given:
         raise InputError(
             "there is nothing to measure", f"give one of {', '.join('--' + name for name in names.values())}, or --rig"
         )
 
+    from napari_elsplus.acquisition.engine.status import Settings
     from napari_elsplus.io import write_calibration
     from napari_elsplus.processing.calibration.draft import Setup
     from napari_elsplus.workflows.calibration import calibrate
@@ -124,7 +130,7 @@ def command(
     from napari_elsplus.workflows.calibration_report.report import save_calibration_report
 
     if rig is not None:
-        draft, setup = _live(rig, preset or DEFAULT_PRESET, bundle_um)
+        draft, setup = _live(rig, Settings(preset or DEFAULT_PRESET, frame_rate_hz=rate_hz), bundle_um)
     else:
         draft = calibrate(
             **given,
@@ -146,11 +152,11 @@ def command(
         click.echo(f"wrote {report}: {pages} pages")
 
 
-def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, Setup]:
+def _live(rig_name: str, settings: Settings, bundle_um: float | None) -> tuple[Draft, Setup]:
     """Calibrate on a rig, its user placing each target; the line is parked on every way out."""
     from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, calibrate_rig, engine_setup
     from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
-    from napari_elsplus.acquisition.engine.status import Settings
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.hardware.priority import keep_pace
 
@@ -158,7 +164,8 @@ def _live(rig_name: str, preset: str, bundle_um: float | None) -> tuple[Draft, S
         click.confirm(f"Please {target.value}. Is it so?", abort=True, err=True, default=True)
 
     keep_pace()
-    with live_engine(rig_name, Settings(preset)) as (rig, engine):
+    with live_engine(rig_name, settings) as (rig, engine):
+        engine.show(LiveView(modes=frozenset()))  # nobody looks
         more: dict[str, Any] = {"progress": calibration_progress, "voltages": SWEEP_VOLTAGES}
         if bundle_um is not None:
             more["bundle_um"] = bundle_um

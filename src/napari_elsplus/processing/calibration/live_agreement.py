@@ -14,6 +14,7 @@ import numpy as np
 from scipy import fft
 
 from napari_elsplus.errors import CalibrationError
+from napari_elsplus.instrument.scanning import rate_advice
 from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, core_contrast
 from napari_elsplus.processing.calibration.frame_regions import mean_frame
@@ -131,6 +132,8 @@ class LiveAgreement:
                 "measure the bundle pair again",
             )
         ratio = self._brightness_ratio(*views)
+        if rate_advice(self._calibration):
+            return None  # the calibration says itself that the line is off its slit, and what to do
         if ratio is not None and ratio > MAX_BRIGHTER:
             return CalibrationError(
                 f"the residual view is {100 * (ratio - 1):.0f} % brighter than the confocal view, by the calibrated "

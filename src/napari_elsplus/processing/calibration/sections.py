@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 STRETCHES: Final = (0.5, 2.0)
 """Smallest and largest change of areas from the residual to the confocal view; those that a bundle section accepts."""
+_OF_SCAN: Final = ("lag_s", "natural_hz", "damping", "rows_off", "highest_rate_hz")
+"""Fields of the galvo section that the scan lag's step measures; a new galvo map keeps them."""
 
 
 def apply_offset(draft: Draft, offset: SlitOffset) -> Calibration:
@@ -80,7 +82,7 @@ def apply_galvo(draft: Draft, galvo: GalvoMap) -> Calibration:
         park_v=park_v,
         bow_rows=galvo.bow_rows,
         bow_uncertainty_rows=galvo.bow_uncertainty_rows,
-        **({} if before is None else {name: getattr(before, name) for name in ("lag_s", "natural_hz", "damping")}),
+        **({} if before is None else {name: getattr(before, name) for name in _OF_SCAN}),
     )
     known = known.model_copy(update={"galvo": section})
     if pair is None or galvo.light is None:
@@ -131,7 +133,9 @@ def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
     if known.galvo is None:
         raise InputError("a scan's lag belongs to a galvo map", "measure the galvo map first")
     update: dict[str, float | None] = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
-    update |= {"natural_hz": None, "damping": None}
+    update |= {"natural_hz": None, "damping": None, "rows_off": None, "highest_rate_hz": None}
+    if lag.ramp is not None:
+        update |= {"rows_off": lag.ramp.off, "highest_rate_hz": lag.ramp.highest_rate_hz}
     correction = None
     if lag.ramp is not None and lag.ramp.correction is not None:
         update |= {"natural_hz": lag.ramp.response.natural_hz, "damping": lag.ramp.response.damping}

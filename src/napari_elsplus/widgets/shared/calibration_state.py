@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from magicgui.widgets import PushButton
 
-from napari_elsplus.instrument.scanning import lag_advice
+from napari_elsplus.instrument.scanning import lag_advice, rate_advice
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import LAG
 from napari_elsplus.workflows.pictures.curves import PAPER_COLOURS
@@ -55,8 +55,7 @@ def calibration_lines(calibration: Calibration | None, file: Path | None) -> lis
     lines = [f"active calibration: {calibration_name(calibration, file)}"]
     if calibration is None:
         return lines
-    if advice := lag_advice(calibration):
-        lines.append(amber(advice))
+    lines.extend(amber(advice) for advice in (lag_advice(calibration), rate_advice(calibration)) if advice)
     if calibration.um_per_px is None:
         lines.append(amber("micrometres unknown: enter the bundle's diameter in Calibration"))
     if calibration.background is None:

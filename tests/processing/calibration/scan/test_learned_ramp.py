@@ -11,6 +11,7 @@ import pytest
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 from napari_elsplus.instrument.calibration import AcquiredWith, Calibration
+from napari_elsplus.instrument.scanning import rate_advice
 from napari_elsplus.instrument.staleness import stale_sections
 from napari_elsplus.io import read_calibration, write_calibration
 from napari_elsplus.processing.calibration.draft import Draft
@@ -80,7 +81,12 @@ def test_a_galvo_that_is_too_slow_is_reported_with_the_rate_that_it_could_follow
     assert found.ramp.highest_rate_hz == pytest.approx(232, abs=3)
     (warning,) = LAG.summary(Draft(rig.calibration), found, rig.setup).warnings
     assert "frames per second fit" in warning
-    assert accepted(rig, found).scan_correction is None
+    calibration = accepted(rig, found)
+    assert calibration.scan_correction is None
+    assert f"choose {found.ramp.highest_rate_hz:.0f} frames per second or fewer" in rate_advice(calibration)
+    quick = PlainScans(natural_hz=1000.0, damping=0.7)
+    quick.calibration = calibration
+    assert not rate_advice(accepted(quick, measure_scan(quick, calibration, quick.setup, 1)))
 
 
 def test_shifts_beyond_the_galvos_range_are_left_out() -> None:

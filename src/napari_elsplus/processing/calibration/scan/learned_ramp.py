@@ -36,6 +36,9 @@ AIM: Final = 0.5
 """Share of the limit at which the corrections end; chosen: what is measured is itself uncertain by some hundredths."""
 SHIFT_STEP_ROWS: Final = 1.5
 """From one shift to the next; chosen: several shifts across the line."""
+WIDE_STRIDE: Final = 2
+"""Of these steps, from one shift to the next before the first correction; chosen: two shifts across the line show to a
+fraction of a row where it is, and the shifts after the correction measure what is left."""
 MIN_SHIFTS: Final = 5
 """Within the galvo's limits, for the errors of a view; chosen: a parabola has three parameters."""
 MIN_SEEN: Final = 0.4
@@ -150,7 +153,7 @@ class RampLearner:
             If the line is on the slit, or near it, in too few rows to learn from.
         """
         start = self._calibration.with_galvo(lag_s=lag_s)
-        before = self._measure(start, WIDE_ROWS, progress)
+        before = self._measure(start, WIDE_ROWS, progress, WIDE_STRIDE)
         if before.seen_share < MIN_SEEN:
             raise MeasurementError(
                 f"the line passes the slit in {100 * before.seen_share:.0f} % of the rows only: no ramp to learn from",
@@ -185,10 +188,12 @@ class RampLearner:
             return LearnedRamp(before, before, self.limit_rows, response, None, self.frames, highest_rate_hz)
         return LearnedRamp(before, best, self.limit_rows, *kept, self.frames, highest_rate_hz)
 
-    def _measure(self, trial: Calibration, reach_rows: float, progress: ProgressWrapper) -> RowErrors:
+    def _measure(self, trial: Calibration, reach_rows: float, progress: ProgressWrapper, stride: int = 1) -> RowErrors:
         """Measure row errors with shifts about those at which the confocal, and the residual view is brightest."""
-        reach, offset = round(reach_rows / SHIFT_STEP_ROWS), round(self.profile.offset_rows / SHIFT_STEP_ROWS)
-        steps = np.arange(-reach, reach + 1)
+        reach, offset = (
+            stride * round(rows / SHIFT_STEP_ROWS / stride) for rows in (reach_rows, self.profile.offset_rows)
+        )
+        steps = np.arange(-reach, reach + 1, stride)
         numbers = self._allowed(trial, np.union1d(steps, steps - offset))
         profiles = {}
         for number in progress(range(len(numbers))):
