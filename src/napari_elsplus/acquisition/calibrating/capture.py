@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.progress import ProgressWrapper
 
 SETTLED_S: Final = 2e-3
-"""Chosen: twice the period of a galvo of 1 kHz."""
+"""After a step of a sweep, a row or two; chosen: twice the period of a galvo of 1 kHz."""
+MOVED_S: Final = 8e-3
+"""After any other motion of the galvo, over hundreds of rows; derived: a galvo of 500 Hz, damped by 0.3, has then 5e-4
+of its way to go."""
 SEARCH_VOLTAGES: Final = 61
 """Of the search for the bundle; chosen: a bundle over a thirtieth of the galvo's range is met by two."""
 SEARCH_FRAMES: Final = 10
@@ -53,9 +56,19 @@ def streaming(engine: Engine) -> Iterator[None]:
             engine.stop()
 
 
-def settled_frames(engine: Engine, count: int) -> NDArray[np.uint8]:
-    """Take a count of frames, (count, rows, cols), with a streaming engine as soon as the galvo has settled."""
-    return engine.fresh_frames(count, time.perf_counter() + SETTLED_S)
+def settled_frames(engine: Engine, count: int, settled_s: float = MOVED_S) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), with a streaming engine that has moved the galvo just now.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming.
+    count : int
+        Number of frames.
+    settled_s : float
+        Seconds after which the galvo has settled; frames whose exposure begins before are left out.
+    """
+    return engine.fresh_frames(count, time.perf_counter() + settled_s)
 
 
 def take_held(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
@@ -96,7 +109,7 @@ def take_sweep(engine: Engine, volts: NDArray[np.floating], progress: ProgressWr
         frames = np.empty((len(volts), rows, cols), np.uint8)
         for number in progress(range(len(volts))):
             engine.hold(float(volts[number]))
-            frames[number] = settled_frames(engine, 1)[0]
+            frames[number] = settled_frames(engine, 1, SETTLED_S)[0]
     return frames
 
 
