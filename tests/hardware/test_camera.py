@@ -86,6 +86,7 @@ def test_a_late_simulation_skips_frames_from_before_the_galvo_was_moved_and_no_o
     after = numbers[numbers.index(10) + 1]
     assert after >= 20 if moves else after == 11
     assert np.diff(numbers[numbers.index(after) :]).max() == 1
+    assert bench.bench.shots[-1].skipped == after - 11  # for which nothing lit the specimen
 
 
 def test_what_is_set_is_what_the_sensor_does(cameras) -> None:

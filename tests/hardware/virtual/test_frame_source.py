@@ -11,6 +11,7 @@ from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import fibres, plate
+from napari_elsplus.simulation.specimen.trajectories import Still
 
 
 def test_frames_come_again_from_memory_while_the_line_moves_alike_and_only_then() -> None:
@@ -94,6 +95,18 @@ def test_light_of_a_closed_path_is_computed_once_and_fades_under_noise_that_does
     left = [float(image[lit].mean()) - first[:40, :40].mean() for image in (first, again, later)]
     assert left[1] == pytest.approx(left[0], rel=0.03)
     assert left[2] == pytest.approx(0.8**4 * left[0], rel=0.15)  # all but the bundle's own light
+
+
+def test_frames_that_a_late_simulation_skips_bleach_nothing() -> None:
+    """Before: a calibration on a busy computer went on in the dark, the even target bleached by frames without end."""
+    source = FrameSource(imperfect("bleaching=20"), plate(0.0), Still(), seed=3, ahead=True)
+    rows, (first, later, skipped) = np.arange(524.0), np.empty((3, 524, 1328), np.uint8)
+    source.fill(0, first, rows)
+    source.fill(2000, later, rows)
+    source.fill(2000, skipped, rows, lit_frames=0)
+    lit = slice(200, 320), slice(280, 380)
+    assert later[lit].mean() < 0.3 * first[lit].mean()
+    assert skipped[lit].mean() == pytest.approx(first[lit].mean(), rel=0.02)
 
 
 def test_what_recurs_leaves_the_statistics_of_imperfect_frames_as_they_are() -> None:

@@ -155,7 +155,7 @@ class OpticalBench:
     def line_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Return the row of the confocal view on which the line is in the middle of each row's exposure of a shot."""
         programs = self.card.programs()
-        newest, settings = programs[-1], replace(shot, frame=0, strobe_s=0.0)
+        newest, settings = programs[-1], replace(shot, frame=0, strobe_s=0.0, skipped=0)
         if self._steady is None or self._steady[0] is not newest or self._steady[1] != settings:
             rows = self._rows_by(programs, shot)
             settled_s = newest.begins_s + _STEADY_AFTER * shot.frame_period_s
@@ -184,7 +184,7 @@ class OpticalBench:
     def expose(self, shot: Shot, out: NDArray[np.uint8]) -> None:
         """Fill the frame `out` of a shot."""
         with self._lock:
-            self._source(shot).fill(shot.frame, out, self.line_rows(shot))
+            self._source(shot).fill(shot.frame, out, self.line_rows(shot), lit_frames=shot.frame - shot.skipped)
 
     def _steady_rows(self, shot: Shot) -> NDArray[np.float64]:
         """Return the line's row during each row's exposure once the stream about to start is periodic."""

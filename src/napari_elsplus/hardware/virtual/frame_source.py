@@ -115,7 +115,7 @@ class FrameSource:
         if self._key:
             remember_frames(self._key, self._kept_for, self._kept)
 
-    def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64]) -> None:
+    def fill(self, frame: int, out: Frame, line_rows: NDArray[np.float64], *, lit_frames: int | None = None) -> None:
         """Fill a frame; outside both images the line's row does not matter.
 
         While the line moves alike in every frame, what recurs is kept, and taken from memory when it does.
@@ -128,20 +128,22 @@ class FrameSource:
             (rows, cols) uint8.
         line_rows : numpy.ndarray
             Row of the confocal view on which the line is, for each row of the frame.
+        lit_frames : int, optional
+            Number of frames for which the specimen was lit before; `frame` if not given.
         """
         seen = self._seen(line_rows)
         if not _alike(seen, self._kept_for):
             steady = _alike(seen, self._before)
             self._before = seen
             if not (steady and len(self._kept)):
-                self._renderer.render(frame, out, line_rows=seen)
+                self._renderer.render(frame, out, line_rows=seen, lit_frames=lit_frames)
                 return
             self._keep_for(seen)
         place = frame % len(self._kept)
         if not self._is_kept[place]:
             self._keep(place)
         if self._bleaches:
-            self._renderer.render(frame, out, light=self._kept[place])
+            self._renderer.render(frame, out, light=self._kept[place], lit_frames=lit_frames)
         else:
             np.copyto(out, self._kept[place])
 

@@ -122,18 +122,18 @@ class Disturbances:
             return 0.0
         return float(self._rng(_JITTER, frame_index).normal(0, sigma_rows))
 
-    def fading(self, frame_index: int, positions_um: Rows) -> Fading:
+    def fading(self, lit_frames: int, positions_um: Rows) -> Fading:
         """Return what bleaching and the bending of the bundle take from a frame's light.
 
         Parameters
         ----------
-        frame_index : int
-            Index of the frame.
+        lit_frames : int
+            Number of frames for which the specimen was lit before.
         positions_um : numpy.ndarray
             (rows, 2) position of the probe while each row is read.
         """
         given = self._imperfections
-        left = (1 - given.bleaching_percent / 100) ** (frame_index / 100) if self._laser else 1.0
+        left = (1 - given.bleaching_percent / 100) ** (lit_frames / 100) if self._laser else 1.0
         if not given.bundle_bending_percent:
             return UNFADED._replace(left=left)
         moved_um = np.hypot(*positions_um[len(positions_um) // 2])

@@ -103,6 +103,7 @@ class Renderer:
         *,
         line_rows: NDArray[np.float64] | None = None,
         light: Light | None = None,
+        lit_frames: int | None = None,
     ) -> Frame:
         """Render a frame.
 
@@ -117,6 +118,8 @@ class Renderer:
             NaN where the laser is off. None is the ideal scan, ``numpy.arange(rows)``; a standing line is a constant.
         light : numpy.ndarray, optional
             From :meth:`core_light`, for a frame at the same place; computed if not given.
+        lit_frames : int, optional
+            Number of frames for which the specimen was lit, and bleached, before; `frame_index` if not given.
 
         Returns
         -------
@@ -132,7 +135,7 @@ class Renderer:
             out = np.empty(self.frame_shape, np.uint8)
         elif out.shape != self.frame_shape or out.dtype != np.uint8:
             raise InputError(f"a frame buffer {out.shape} {out.dtype}", f"give {self.frame_shape} uint8")
-        core_dn = self.core_values(frame_index, line_rows=line_rows, light=light)
+        core_dn = self.core_values(frame_index, line_rows=line_rows, light=light, lit_frames=lit_frames)
         camera = self.instrument
         readout = self._disturbances.readout(frame_index) if self._disturbances else UNDISTURBED
         left, right = (view.spots for view in self._views)
@@ -146,13 +149,18 @@ class Renderer:
         return out
 
     def core_values(
-        self, frame_index: int, *, line_rows: NDArray[np.float64] | None = None, light: Light | None = None
+        self,
+        frame_index: int,
+        *,
+        line_rows: NDArray[np.float64] | None = None,
+        light: Light | None = None,
+        lit_frames: int | None = None,
     ) -> Light:
         """Return the grey level of each core in confocal and residual view, before pixels, background and noise.
 
         Parameters
         ----------
-        frame_index, line_rows, light
+        frame_index, line_rows, light, lit_frames
             As of :meth:`render`.
 
         Returns
@@ -165,7 +173,8 @@ class Renderer:
             light = self.core_light(frame_index, self._unfaded, line_rows=line_rows)
         fading = UNFADED
         if self._disturbances is not None:
-            fading = self._disturbances.fading(frame_index, self.row_positions_um(frame_index))
+            lit_frames = frame_index if lit_frames is None else lit_frames
+            fading = self._disturbances.fading(lit_frames, self.row_positions_um(frame_index))
         for values, (total, of_bundle) in zip(self._values, light, strict=True):
             fade_cores(values, total, of_bundle, *fading)
         return self._values

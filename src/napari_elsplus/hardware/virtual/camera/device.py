@@ -45,7 +45,11 @@ GAMMA: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """Timing, region and gain of one frame: the strobe's edge, and when its rows are read."""
+    """Timing, region and gain of one frame: the strobe's edge, and when its rows are read.
+
+    ``skipped`` is the number of frames before it that a simulation left out because it was late: nothing lit the
+    specimen then.
+    """
 
     frame: int
     strobe_s: float
@@ -55,6 +59,7 @@ class Shot:
     line_period_s: float
     frame_period_s: float
     gain_db: float
+    skipped: int = 0
 
     @property
     def row_zero_s(self) -> float:
@@ -149,7 +154,7 @@ class VirtualCamera:
             self.memory.add(registers)
         self.control_endpoint = ControlEndpoint(self.memory, self.faults, bench.clock)
         self.stream_endpoint = StreamEndpoint(self._next_block, self.faults, bench.clock)
-        self._frame = 0
+        self._frame = self._skipped = 0
         self._pixels = np.zeros(0, np.uint8)
         self._simulation = NamedThread("simulated camera")
 
@@ -175,7 +180,7 @@ class VirtualCamera:
                 period_s = 1 / self.sensor.rate_hz
                 self.bench.prepare(self._shot(0, StrobeTrain(0.0, period_s)))
                 self._train = StrobeTrain(clock.now_s() + 2e-3, period_s)
-                self._frame = 0
+                self._frame = self._skipped = 0
                 delay_s = self.make.strobe_delay_s(WIRED_LINE)
                 if delay_s is not None and not self.faults.strobe_off and not self.sensor.settings.trigger:
                     width_s = self.sensor.settings.exposure_s
@@ -206,6 +211,7 @@ class VirtualCamera:
             self.sensor.line_period_s,
             train.period_s,
             settings.gain_db,
+            self._skipped,
         )
 
     def _ticks(self, time_s: float) -> int:
@@ -282,7 +288,8 @@ class VirtualCamera:
         kept = BYTES_KEPT // (shot.region[2] * shot.region[3])
         if clock.real_time and late >= LATE_FRAMES:
             outdated_s = 0.0 if self._moved_s is None else max(self._moved_s() - shot.read_out_s, 0.0)
-            self._frame += max(late - kept, min(late, ceil(outdated_s / train.period_s)), 0)
+            skipped = max(late - kept, min(late, ceil(outdated_s / train.period_s)), 0)
+            self._frame, self._skipped = self._frame + skipped, self._skipped + skipped
         if self.faults.drop_frames:
             self._frame += self.faults.drop_frames
             self.faults.drop_frames = 0
