@@ -12,11 +12,11 @@ from napari_elsplus import simulate_calibration
 from napari_elsplus.errors import InputError
 from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.calibration_report.report import (
-    COLOURS,
     calibration_numbers,
     draw_calibration_report,
     save_calibration_report,
 )
+from napari_elsplus.workflows.pictures.curves import PAPER_COLOURS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,7 +48,7 @@ def test_it_states_numbers_uncertainties_and_the_date(draft: Draft) -> None:
 
 
 def test_each_of_its_colours_is_another() -> None:
-    assert len(set(COLOURS.values())) == len(COLOURS)
+    assert len(set(PAPER_COLOURS.values())) == len(PAPER_COLOURS)
 
 
 def test_it_is_one_pdf_and_overwrites_nothing(draft: Draft, tmp_path: Path) -> None:
