@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
@@ -85,6 +86,17 @@ class PlainBench:
         self.shots.append(shot)
         out[:] = shot.frame % 251
         out[0, 0], out[-1, -1] = 252, 253
+
+
+def read_frames(camera: U3vCamera, count: int, timeout_s: float = 3.0) -> list[FrameInfo]:
+    """Read frames of a `PlainBench`, and check that each is neither shifted nor cut."""
+    buffer = np.empty(camera.frame_shape, np.uint8)
+    infos = []
+    for _ in range(count):
+        infos.append(camera.read_into(buffer, timeout_s))
+        assert (buffer.ravel()[1:-1] == infos[-1].frame_number % 251).all()
+        assert (buffer[0, 0], buffer[-1, -1]) == (252, 253)
+    return infos
 
 
 @dataclass

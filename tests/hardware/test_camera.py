@@ -22,18 +22,9 @@ from napari_elsplus.hardware.u3v.discovery import choose_camera, find_cameras
 from napari_elsplus.hardware.u3v.genapi import GenicamFeatures
 from napari_elsplus.hardware.u3v.stream import DEPTH
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
+from virtual_devices import read_frames
 
 SMALL = Region(262, 0, 40, 64)
-
-
-def frames(camera, count: int, timeout_s: float = 2.0):
-    buffer = np.empty(camera.frame_shape, np.uint8)
-    infos = []
-    for _ in range(count):
-        infos.append(camera.read_into(buffer, timeout_s))
-        assert (buffer.ravel()[1:-1] == infos[-1].frame_number % 251).all()
-        assert (buffer[0, 0], buffer[-1, -1]) == (252, 253)  # neither shifted nor cut
-    return infos
 
 
 @pytest.mark.parametrize("region", [SMALL, Region(262, 0, 524, 1328), Region(0, 0, 1048, 1328)])
@@ -43,21 +34,21 @@ def test_frames_arrive_whole_in_order_and_none_is_lost(cameras, region) -> None:
         camera.configure(region, slit_rows=3, frame_rate_hz=100)
         assert isinstance(camera, Camera)
         camera.start()
-        infos = frames(camera, 30)
+        infos = read_frames(camera, 30)
         assert [info.frame_number for info in infos] == list(range(2, 32))  # two are invalid after a change
         assert camera.dropped == {"invalid after a change": 2}
         spacing = np.diff([info.readout_start_s for info in infos])
         np.testing.assert_allclose(spacing, 0.01, atol=1e-6)
         camera.stop()
         camera.start()  # the same region: none is invalid
-        assert frames(camera, 1)[0].frame_number == 0
+        assert read_frames(camera, 1)[0].frame_number == 0
 
 
 def test_in_real_time_frames_come_at_the_cameras_rate(cameras) -> None:
     with cameras().open() as camera:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
         camera.start()
-        infos = frames(camera, 60)
+        infos = read_frames(camera, 60)
         read_out_s = SMALL.rows * camera.line_period_s
         assert all(
             info.received_s > info.readout_start_s + read_out_s for info in infos
@@ -82,7 +73,7 @@ def test_a_late_simulation_skips_frames_from_before_the_galvo_was_moved_and_no_o
     with bench.open() as camera:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=120)
         camera.start()
-        numbers = [info.frame_number for info in frames(camera, 20)]
+        numbers = [info.frame_number for info in read_frames(camera, 20)]
     after = numbers[numbers.index(10) + 1]
     assert after >= 20 if moves else after == 11
     assert np.diff(numbers[numbers.index(after) :]).max() == 1
@@ -97,7 +88,7 @@ def test_what_is_set_is_what_the_sensor_does(cameras) -> None:
         assert camera.line_period_s == pytest.approx(1 / 130_751)  # the camera tells whole rows per second
         assert camera.line_periods_per_frame == pytest.approx(130_751 / 200, rel=1e-6)
         camera.start()
-        frames(camera, 2)
+        read_frames(camera, 2)
         shot = bench.bench.shots[-1]
         assert shot.region == (262, 16, 524, 640)
         assert shot.exposure_s == pytest.approx(5 * camera.line_period_s, rel=1e-5)
@@ -160,7 +151,7 @@ def test_the_whole_driver_works_through_the_cameras_own_description(cameras) -> 
     with U3vCamera(choose_camera("", bench.bus), GenicamFeatures, wait_for_reader=True) as camera:
         camera.configure(Region(262, 16, 524, 640), slit_rows=5, frame_rate_hz=200, gain_db=6)
         camera.start()
-        assert len(frames(camera, 5)) == 5
+        assert len(read_frames(camera, 5)) == 5
         shot = bench.bench.shots[-1]
         assert (shot.region, shot.gain_db) == ((262, 16, 524, 640), 6.0)
         assert shot.exposure_s == pytest.approx(5 * camera.line_period_s, rel=1e-5)
@@ -222,10 +213,10 @@ def test_unplugged_while_streaming_ends_the_stream_and_keeps_what_came(cameras) 
     camera = bench.open()
     camera.configure(SMALL, slit_rows=3, frame_rate_hz=200)
     camera.start()
-    frames(camera, 3)
+    read_frames(camera, 3)
     bench.plug.unplugged = True
     with pytest.raises(DeviceError, match="unplugged"):
-        frames(camera, 50)
+        read_frames(camera, 50)
     begin = time.perf_counter()
     camera.close()
     assert time.perf_counter() - begin < 2
@@ -234,7 +225,7 @@ def test_unplugged_while_streaming_ends_the_stream_and_keeps_what_came(cameras) 
     with bench.open() as again:
         again.configure(SMALL, slit_rows=3, frame_rate_hz=200)
         again.start()
-        frames(again, 3)
+        read_frames(again, 3)
 
 
 @pytest.mark.parametrize(
@@ -246,9 +237,9 @@ def test_a_spoilt_frame_is_dropped_and_counted_and_the_next_one_is_whole(cameras
     with bench.open(wait_for_reader=True) as camera:
         camera.configure(region, slit_rows=3, frame_rate_hz=100)
         camera.start()
-        before = frames(camera, 4)
+        before = read_frames(camera, 4)
         setattr(bench.plug.camera.faults, fault, 3)
-        after = frames(camera, 20 + DEPTH)
+        after = read_frames(camera, 20 + DEPTH)
         numbers = [info.frame_number for info in before + after]
         assert numbers[-1] - numbers[0] + 1 - len(numbers) == 3
         assert camera.dropped[cause] == 3
@@ -260,7 +251,7 @@ def test_a_slow_consumer_loses_frames_by_count_and_memory_does_not_grow(cameras)
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=200)
         camera.start()
         time.sleep(0.4)
-        infos = frames(camera, DEPTH + 10)
+        infos = read_frames(camera, DEPTH + 10)
         assert camera.dropped["slow consumer"] > 10
         numbers = [info.frame_number for info in infos]
         assert numbers[:DEPTH] == list(range(2, 2 + DEPTH))  # the oldest are kept, in order
@@ -276,7 +267,7 @@ def test_empty_packets_and_a_device_that_asks_for_time_are_borne(cameras) -> Non
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
         assert bench.plug.camera.faults.pending_acks == 0
         camera.start()
-        frames(camera, 10)
+        read_frames(camera, 10)
         assert set(camera.dropped) == {"invalid after a change"}
 
 
@@ -292,7 +283,7 @@ def test_stopping_is_quick_and_starting_again_is_clean(cameras) -> None:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
         for _ in range(3):
             camera.start()
-            frames(camera, 3)
+            read_frames(camera, 3)
             begin = time.perf_counter()
             camera.stop()
             assert time.perf_counter() - begin < 1

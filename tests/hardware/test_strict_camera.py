@@ -19,27 +19,17 @@ from napari_elsplus.hardware.u3v.clock import CameraClock
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.camera.bus import VirtualBus
 from sfnc_camera import StandardRegisters
+from virtual_devices import read_frames
 
 SMALL = Region(262, 0, 40, 64)
 PAPER = Region(262, 0, 524, 1328)
 FULL = Region(0, 0, 1048, 1328)
 
 
-def take(camera: U3vCamera, count: int, timeout_s: float = 3.0):
-    """Read frames; each holds its number in all pixels but two, see `PlainBench`."""
-    buffer = np.empty(camera.frame_shape, np.uint8)
-    infos = []
-    for _ in range(count):
-        infos.append(camera.read_into(buffer, timeout_s))
-        assert (buffer.ravel()[1:-1] == infos[-1].frame_number % 251).all()
-        assert (buffer[0, 0], buffer[-1, -1]) == (252, 253)
-    return infos
-
-
 def stream(camera: U3vCamera, count: int = 5, region: Region = SMALL, rate_hz: float = 100):
     camera.configure(region, slit_rows=3, frame_rate_hz=rate_hz)
     camera.start()
-    return take(camera, count)
+    return read_frames(camera, count)
 
 
 def kill(camera: U3vCamera) -> None:
@@ -116,7 +106,7 @@ def test_chunk_data_are_named_and_not_counted_as_bad_leaders(cameras) -> None:
         bench.plug.camera.sensor.settings.chunks = True
         camera.start()
         with pytest.raises(DeviceError, match="ChunkModeActive"):
-            take(camera, 1)
+            read_frames(camera, 1)
 
 
 @pytest.mark.parametrize("memory_channels", [True, False])
@@ -264,7 +254,7 @@ def test_a_halted_stream_is_cleared_and_goes_on(cameras) -> None:
     with bench.open() as camera:
         stream(camera, 3)
         bench.plug.camera.faults.halt_stream = 1
-        infos = take(camera, 20)
+        infos = read_frames(camera, 20)
         assert camera.dropped["halted endpoint"] == 1
         assert infos[-1].frame_number - infos[0].frame_number <= 21  # one frame was lost
 
@@ -275,7 +265,7 @@ def test_a_stream_that_stays_halted_ends_and_is_not_called_unplugged(cameras) ->
         stream(camera, 3)
         bench.plug.camera.faults.halt_stream = 10**6
         with pytest.raises(DeviceError, match="halted its endpoint"):
-            take(camera, 50)
+            read_frames(camera, 50)
 
 
 # Settings that depend on each other.
@@ -288,7 +278,7 @@ def test_a_long_exposure_before_does_not_limit_the_rate_after(cameras) -> None:
         camera.configure(SMALL, slit_rows=3, frame_rate_hz=240)
         camera.configure(SMALL, slit_rows=5000, frame_rate_hz=20)
         camera.start()
-        take(camera, 2)
+        read_frames(camera, 2)
         assert bench.bench.shots[-1].exposure_s == pytest.approx(5000 * camera.line_period_s, rel=1e-5)
 
 
@@ -367,7 +357,7 @@ def test_another_make_streams_by_its_own_description(standard) -> None:
     with bench.open() as camera:
         camera.configure(Region(100, 64, 480, 640), slit_rows=5, frame_rate_hz=150, gain_db=6)
         camera.start()
-        take(camera, 5)
+        read_frames(camera, 5)
         shot = bench.bench.shots[-1]
         assert (shot.region, shot.gain_db) == ((100, 64, 480, 640), 6.0)
         assert shot.exposure_s == pytest.approx(50e-6, rel=1e-5)
@@ -420,7 +410,7 @@ def test_a_long_exposure_before_does_not_limit_the_rate_of_another_make(standard
         for slit_rows, rate_hz in ((5000, 15), (3, 80), (5000, 15)):  # 50 ms at most, of 66 or 12.5 ms
             camera.configure(Region(0, 0, 960, 1280), slit_rows=slit_rows, frame_rate_hz=rate_hz)
         camera.start()
-        take(camera, 2)
+        read_frames(camera, 2)
         assert bench.bench.shots[-1].exposure_s == pytest.approx(0.05, rel=1e-5)
 
 
