@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Callable
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import ImageMetadata, allocate_images, fill_images, open_recording, write_images
+from napari_elsplus.io import ImageMetadata, allocate_images, fill_images, open_recording, write_images, write_mosaic
 from pairs import calibration
 
 IMAGES = np.random.default_rng(3).normal(size=(7, 20, 30)).astype(np.float32)
@@ -41,3 +45,24 @@ def test_images_that_the_file_has_no_place_for_are_refused(tmp_path: Path, suffi
     with open_recording(path) as back:
         np.testing.assert_array_equal(back[6], IMAGES[5])
         assert not back[:6].any()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no timer that interrupts")
+@pytest.mark.parametrize("after_s", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("write", [write_images, write_mosaic])
+def test_an_interrupted_zarr_leaves_nothing(tmp_path: Path, write: Callable[..., object], after_s: float) -> None:
+    """Before: chunks that were still being written stayed, or kept the folder from being removed."""
+    image = np.random.default_rng(1).random((2500, 2500)).astype(np.float32)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, after_s)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            write(tmp_path / "a.ome.zarr", repeat(image) if write is write_images else np.tile(image, (3, 3)), METADATA)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert not list(tmp_path.iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -20,7 +21,7 @@ from napari_elsplus.io.formats.source import FrameSource, ordered_times_s, posit
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import DTypeLike, NDArray
 
@@ -117,16 +118,13 @@ def write_ome_zarr(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    with _new_group(path, metadata, force=force) as group:
-        planes = contiguous_images(images)
+    planes = contiguous_images(images)
+    with _new_group(path, metadata, force=force) as (group, finishing):
         first = next(planes)
-        array = _new_array(group, path, (0, *first.shape), first.dtype, metadata)
-        count = 0
+        array = finishing(_new_array, group, path, (0, *first.shape), first.dtype, metadata)
         for image in chain([first], planes):
-            array.resize((count + 1, *first.shape))
-            array[count] = image
-            count += 1
-    return count
+            finishing(_append, array, image)
+    return int(array.shape[0])
 
 
 def allocate_ome_zarr(
@@ -136,8 +134,8 @@ def allocate_ome_zarr(
     metadata: ImageMetadata,
 ) -> None:
     """Create an OME-Zarr folder of zeros; parameters and errors as of :func:`napari_elsplus.io.allocate_images`."""
-    with _new_group(path, metadata, force=False) as group:
-        _new_array(group, path, shape, np.dtype(dtype), metadata)
+    with _new_group(path, metadata, force=False) as (group, finishing):
+        finishing(_new_array, group, path, shape, np.dtype(dtype), metadata)
 
 
 def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
@@ -163,35 +161,52 @@ def write_ome_zarr_pyramid(
 ) -> Path:
     """Write a mosaic to an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.write_mosaic`."""
     um_per_px = metadata.um_per_px
-    with _new_group(path, metadata, force=force) as group:
-        (whole,) = contiguous_images([image])
+    (whole,) = contiguous_images([image])
+    with _new_group(path, metadata, force=force) as (group, finishing):
         datasets = []
         for index, level in enumerate(pyramid(whole)):
             chunks = tuple(min(side, tile) for side, tile in zip(level.shape, TILE_PX, strict=True))
-            group.create_array(str(index), shape=level.shape, chunks=chunks, dtype=level.dtype)[:] = level
+            array = finishing(group.create_array, str(index), shape=level.shape, chunks=chunks, dtype=level.dtype)
+            finishing(array.__setitem__, slice(None), level)
             size, shift_px = (um_per_px or 1.0) * 2**index, (2**index - 1) / 2  # of the first pixel's centre
             scaled = {"type": "scale", "scale": [size] * 2}
             shifted = {"type": "translation", "translation": [shift_px * (um_per_px or 1.0)] * 2}
             datasets.append({"path": str(index), "coordinateTransformations": [scaled, shifted][: 1 + bool(index)]})
-        _describe(group, path, _space(um_per_px), datasets)
+        finishing(_describe, group, path, _space(um_per_px), datasets)
     return Path(path)
 
 
 @contextmanager
-def _new_group(path: str | os.PathLike[str], metadata: ImageMetadata, *, force: bool) -> Iterator[Any]:
-    """Yield a group, renamed to its path at the end, with its settings, software and calibration."""
+def _new_group(
+    path: str | os.PathLike[str], metadata: ImageMetadata, *, force: bool
+) -> Iterator[tuple[Any, Callable[..., Any]]]:
+    """Yield a group, renamed to its path at the end, with its settings, software and calibration.
+
+    Also yields the function that calls others which write into it, in a thread that finishes them where their caller is
+    interrupted: zarr itself goes on writing then, into a folder that is being removed.
+    """
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
 
     target = Path(path)
     refuse_suffix(target, ".zarr")
-    with replacing(target, force=force) as beside:
-        group = zarr.open_group(beside, mode="w", zarr_format=3)
-        yield group
-        kept: dict[str, Any] = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
-        if metadata.times_s is not None:
-            kept[TIMES] = list(metadata.times_s)
-        group.attrs[NOTES] = {"software": SOFTWARE, **metadata.settings, **kept}
+    kept: dict[str, Any] = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
+    if metadata.times_s is not None:
+        kept[TIMES] = list(metadata.times_s)
+    with replacing(target, force=force) as beside, ThreadPoolExecutor(1, "zarr") as thread:
+
+        def finishing(write: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+            return thread.submit(write, *arguments, **options).result()
+
+        group = finishing(zarr.open_group, beside, mode="w", zarr_format=3)
+        yield group, finishing
+        finishing(group.attrs.__setitem__, NOTES, {"software": SOFTWARE, **metadata.settings, **kept})
+
+
+def _append(array: Any, image: NDArray[Any]) -> None:
+    count = array.shape[0]
+    array.resize((count + 1, *image.shape))
+    array[count] = image
 
 
 def _new_array(
