@@ -74,7 +74,7 @@ class Server:
                 ThreadPoolExecutor(1, "exclusive") as queue,
             ):
                 try:
-                    self._receive(pool, queue)
+                    self._receive(queue, pool)
                 finally:
                     self._session.close()  # which ends what runs
         finally:
