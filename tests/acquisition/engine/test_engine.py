@@ -255,7 +255,7 @@ def test_a_slow_disk_costs_recorded_frames_and_says_so(
     append = RecordingWriter.append
 
     def slowly(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
-        time.sleep(0.1 if len(writer) < 40 else 0)
+        time.sleep(0.1 if len(writer) < 20 else 0)
         append(writer, *arguments, **options)
 
     monkeypatch.setattr(RecordingWriter, "append", slowly)
