@@ -26,6 +26,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
+from small_rig import small_calibration
 
 HERE = Path(__file__).parents[1]
 SLOW = Settings("240hz", frame_rate_hz=100.0)
@@ -64,8 +65,8 @@ def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 
 
 def sweep(client: EngineClient) -> Future[object]:
-    """Start a sweep, and return once it runs."""
-    sweeping = client.measure_step(GALVO, Draft(), 2000)
+    """Start a sweep of many seconds, where the bundle is known, and return once it runs."""
+    sweeping = client.measure_step(GALVO, Draft(small_calibration()), 2000)
     until(lambda: client.status.progress is not None and client.status.progress.done > 3)
     return sweeping
 
