@@ -299,8 +299,9 @@ def test_every_test_runs_once_in_two_processes_or_in_turn(
 def test_tests_of_times_devices_and_losses_have_the_computer_alone(run: ModuleType) -> None:
     alone = (
         "acquisition/engine/test_engine.py", "acquisition/engine/test_misbehaving_clock.py",
-        "acquisition/link/test_in_time.py", "acquisition/link/test_transactions.py", "acquisition/streaming",
-        "examples/test_live_example.py", "hardware/daq", "hardware/test_guardian.py", "safety/test_promises.py",
+        "acquisition/link/test_defects.py", "acquisition/link/test_in_time.py",
+        "acquisition/link/test_transactions.py", "acquisition/streaming", "examples/test_live_example.py",
+        "hardware/daq", "hardware/test_guardian.py", "safety/test_promises.py",
         "widgets/live/test_no_loss.py", "widgets/live/test_rehearsal.py", "widgets/live_mosaic/test_every_frame.py",
     )  # fmt: skip
     for path in alone:

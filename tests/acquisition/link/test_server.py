@@ -6,10 +6,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event, Thread
 
+import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.engine.live_images import LiveView
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
@@ -120,3 +123,41 @@ def test_a_terminated_engine_ends_in_order(own_client: EngineClient, log: Path) 
 def test_a_process_that_does_not_start_is_said() -> None:
     with pytest.raises(DeviceError, match="did not start"):
         EngineClient((sys.executable, "-c", "raise SystemExit(3)"))
+
+
+@pytest.mark.parametrize("rounds", [20, pytest.param(300, marks=pytest.mark.slow)])
+def test_disconnecting_while_images_are_copied(own_client: EngineClient, calibration: Calibration, rounds: int) -> None:
+    out = {"raw": np.empty((524, 1328), np.uint8)}
+    out |= {name: np.empty((466, 466), np.float32) for name in ("ls", "residual", "els", "elsa")}
+    reading, stopping = Event(), Event()
+    raised: list[Exception] = []
+
+    def read() -> None:
+        while not stopping.is_set():
+            try:
+                ring = own_client.display()
+                while ring is not None and len(ring.layout.fields) == 5 and not stopping.is_set():
+                    reading.set()
+                    if ring.newest_after(-1, out) is None:
+                        break
+            except Exception as error:  # noqa: BLE001
+                raised.append(error)
+                reading.set()
+                return
+
+    reader = Thread(target=read)
+    reader.start()
+    for _ in range(rounds):
+        own_client.open("small").result(60)
+        own_client.configure(Settings("240hz", frame_rate_hz=60.0)).result(60)
+        own_client.use(calibration).result(60)
+        own_client.start().result(60)
+        until(lambda: own_client.status.processed > 2)
+        reading.clear()
+        assert reading.wait(20)
+        own_client._detach()  # as `close` does, in a thread beside the one that copies
+    stopping.set()
+    own_client.close()
+    reader.join(20)
+    assert not raised
+    assert not reader.is_alive()

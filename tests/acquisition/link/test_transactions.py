@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -138,7 +137,7 @@ def test_a_frozen_window_leaves_the_galvo_parked_the_frames_kept_and_is_told(tmp
             until(lambda: card.last_volts == pytest.approx(-0.7))
             parked = next(output for output in reversed(card.programs()) if output.resting_v == pytest.approx(-0.7))
             assert parked.since_s - stopped_s < TIMEOUT_S + 0.5
-            time.sleep(2.0)
+            time.sleep(1.0)
         finally:
             os.kill(window.pid, signal.SIGCONT)
         said, _ = window.communicate(timeout=60)
@@ -164,41 +163,3 @@ def test_a_window_that_processes_no_events_counts_as_frozen(own_client: EngineCl
     assert "frozen" in own_client.status.faults[0].problem
     assert own_client.status.park_state.parked
     assert own_client.status.live
-
-
-@pytest.mark.parametrize("rounds", [20, pytest.param(300, marks=pytest.mark.slow)])
-def test_disconnecting_while_images_are_copied(own_client: EngineClient, calibration: Calibration, rounds: int) -> None:
-    out = {"raw": np.empty((524, 1328), np.uint8)}
-    out |= {name: np.empty((466, 466), np.float32) for name in ("ls", "residual", "els", "elsa")}
-    reading, stopping = Event(), Event()
-    raised: list[Exception] = []
-
-    def read() -> None:
-        while not stopping.is_set():
-            try:
-                ring = own_client.display()
-                while ring is not None and len(ring.layout.fields) == 5 and not stopping.is_set():
-                    reading.set()
-                    if ring.newest_after(-1, out) is None:
-                        break
-            except Exception as error:  # noqa: BLE001
-                raised.append(error)
-                reading.set()
-                return
-
-    reader = Thread(target=read)
-    reader.start()
-    for _ in range(rounds):
-        own_client.open("small").result(60)
-        own_client.configure(Settings("240hz", frame_rate_hz=60.0)).result(60)
-        own_client.use(calibration).result(60)
-        own_client.start().result(60)
-        until(lambda: own_client.status.processed > 2)
-        reading.clear()
-        assert reading.wait(20)
-        own_client._detach()  # as `close` does, in a thread beside the one that copies
-    stopping.set()
-    own_client.close()
-    reader.join(20)
-    assert not raised
-    assert not reader.is_alive()
