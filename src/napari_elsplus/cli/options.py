@@ -176,7 +176,7 @@ def files_read(recording: Path, chosen: Path | None) -> tuple[Path, ...]:
     return recording, *calibration_files(calibration_beside(recording) if chosen is None else chosen)
 
 
-def calibration_of(recording: Recording, chosen: Path | None, remedy: str = "name one with -c") -> Calibration:
+def calibration_of(recording: Recording, chosen: Path | None, otherwise: str = "") -> Calibration:
     """Return the calibration that was chosen, else the one beside or in a recording, and print which that is.
 
     Parameters
@@ -185,21 +185,27 @@ def calibration_of(recording: Recording, chosen: Path | None, remedy: str = "nam
         Open.
     chosen : pathlib.Path or None
         The file named with -c.
-    remedy : str
-        What the error tells the user to do.
+    otherwise : str
+        What else the user may do if the recording has none, or contains images.
 
     Raises
     ------
+    InputError
+        If the recording contains images that were made of raw frames.
     CalibrationError
         If there is none, or it is broken.
     """
     from napari_elsplus.io import read_calibration  # imports numpy, of which wrong options need nothing
 
+    if (made := recording.image_type) is not None:
+        problem = f"{recording.path.name} contains images that were made of raw frames ({made})"
+        raise InputError(problem, f"name the recording of raw frames{otherwise}")
     if chosen is not None:
         return read_calibration(chosen)
     found, file = recording.find_calibration()
     if found is None:
-        raise CalibrationError(f"there is no calibration in or beside {recording.path.name}", remedy)
+        problem = f"there is no calibration in or beside {recording.path.name}"
+        raise CalibrationError(problem, f"name one with -c{otherwise}")
     click.echo(f"calibration: {file or f'the one in {recording.path}'}")
     return found
 

@@ -112,9 +112,14 @@ class Recording(ClosedOnExit):
     @property
     def holds_raw_frames(self) -> bool:
         """True if the file contains a calibration, and no image type: raw frames of this package, not images."""
+        return self._calibration_text is not None and self.image_type is None
+
+    @property
+    def image_type(self) -> str | None:
+        """Image type of images that this package has made of raw frames, ``"els"`` for instance; else None."""
         settings = self.metadata.get("settings")
         mode = settings.get("mode", "raw") if isinstance(settings, dict) else "raw"  # a raw layer is saved with "raw"
-        return self._calibration_text is not None and mode == "raw"
+        return None if mode == "raw" else str(mode)
 
     @property
     def calibration(self) -> Calibration | None:

@@ -85,4 +85,17 @@ def test_raw_frames_are_refused_as_finished_images(elsplus: Cli, raw: Path, tmp_
         assert saved.holds_raw_frames, "as napari saves the layer"
     with elsplus_module.open_recording(tmp_path / "els.ome.tif") as images:
         assert not images.holds_raw_frames, "a calibration is kept in images, too"
+        assert images.image_type == "els"
     assert elsplus("mosaic", tmp_path / "els.ome.tif", "--finished", "-o", tmp_path / "m.ome.tif").code == 0
+
+
+@pytest.mark.parametrize("command", sorted(OUTPUT))
+def test_finished_images_are_refused_as_raw_frames(elsplus: Cli, raw: Path, tmp_path: Path, command: str) -> None:
+    """Before: the user was told to give the calibration of another camera region."""
+    with elsplus_module.open_recording(raw) as recording:
+        elsplus_module.section(recording, recording.calibration).save(tmp_path / "els.ome.tif")
+    run = elsplus(command, tmp_path / "els.ome.tif", "-o", tmp_path / OUTPUT[command])
+    assert run.code != 0
+    (line,) = run.err.strip().splitlines()
+    assert "els.ome.tif contains images that were made of raw frames (els): name the recording of raw frames" in line
+    assert ("--finished" in line) == (command == "mosaic")

@@ -99,8 +99,8 @@ def command(
     format_to_write(output)
     even = None if flat is None else _mean_of(flat)
     with open_recording(raw) as recording:
-        remedy = "name one with -c, or give --finished for finished images"
-        record = None if finished else calibration_of(recording, calibration, remedy)
+        otherwise = ", or give --finished for finished images"
+        record = None if finished else calibration_of(recording, calibration, otherwise)
         result = make_mosaic(
             recording, record, mode, finished=finished, method=method, insertion=insertion, flat=even,
             progress=progress,
