@@ -97,6 +97,18 @@ def test_light_of_a_closed_path_is_computed_once_and_fades_under_noise_that_does
     assert left[2] == pytest.approx(0.8**4 * left[0], rel=0.15)  # all but the bundle's own light
 
 
+def test_frames_of_a_circle_recur_at_every_rate() -> None:
+    """Before: at 237 Hz, the rate advised for a slow galvo, each frame was rendered anew, at a third of the pace."""
+    instrument = Instrument.of("240hz", rate_hz=237.0)
+    source = FrameSource(instrument, fibres(), Circle(period_s=0.0335), seed=3, ahead=True)
+    rows, (first, again, other) = np.arange(524.0), np.empty((3, 524, 1328), np.uint8)
+    source.render_ahead(rows)
+    for number, out in ((2, first), (10, again), (6, other)):
+        source.fill(number, out, rows)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
 def test_frames_that_a_late_simulation_skips_bleach_nothing() -> None:
     """Before: a calibration on a busy computer went on in the dark, the even target bleached by frames without end."""
     source = FrameSource(imperfect("bleaching=20"), plate(0.0), Still(), seed=3, ahead=True)

@@ -7,7 +7,7 @@ once, and each frame has pixels and noise of its own. What belongs to a moving p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -55,6 +55,10 @@ class Circle:
         angle = 2 * np.pi * times_s / self.period_s
         return np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1) * (self.diameter_um / 2)
 
+    def closed(self, rate_hz: float) -> Circle:
+        """Return the circle whose round takes the nearest whole number of frames at a rate, so that they recur."""
+        return replace(self, period_s=max(1, round(self.period_s * rate_hz)) / rate_hz)
+
 
 class FrameSource:
     """Frames of one scene, trajectory and camera setting.
@@ -75,6 +79,8 @@ class FrameSource:
 
     def __init__(self, instrument: Instrument, scene: Scene, trajectory: Trajectory, seed: int, *, ahead: bool) -> None:
         self._made_for = (instrument, scene, trajectory)
+        if isinstance(trajectory, Circle):
+            trajectory = trajectory.closed(instrument.optics.frame_rate_hz)
         self._renderer = Renderer(instrument, scene, trajectory, seed=seed)
         self._bleaches = bool(instrument.imperfections.bleaching_percent) and not scene.transmission
         moves = not isinstance(trajectory, Still)
@@ -170,10 +176,9 @@ def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
 
 
 def _frames_per_round(trajectory: Trajectory, rate_hz: float) -> int:
-    """Return the frames after which the probe is at the same place; 0 if it never is at the beginning of a frame."""
+    """Return the frames after which a probe at rest or on a closed circle is at the same place; 0 on other paths."""
     if isinstance(trajectory, Still):
         return STILL_FRAMES
     if isinstance(trajectory, Circle):
-        frames = trajectory.period_s * rate_hz
-        return round(frames) if abs(frames - round(frames)) < 1e-3 else 0
+        return round(trajectory.period_s * rate_hz)
     return 0
