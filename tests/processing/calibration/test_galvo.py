@@ -13,7 +13,7 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.calibration import Calibration, FrameSection, OffsetSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo
-from napari_elsplus.processing.calibration.line.location import Line
+from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.measurements import map_galvo
 from napari_elsplus.processing.calibration.summaries import summarize_galvo
 from napari_elsplus.simulation.calibration_scenes import standing_line
@@ -214,6 +214,18 @@ def test_a_bowed_line_is_measured_and_makes_no_galvo_seem_curved(bow_rows: float
     assert not found.curved
     summary = summarize_galvo(found, Draft(), Setup(FrameSection(shape=(524, 1328))))
     assert any("the line is bowed" in warning for warning in summary.warnings)
+
+
+def test_light_that_falls_towards_the_rim_does_not_stretch_the_map() -> None:
+    """The side of a line that lies farther inside is brighter: slopes were 0.02 to 0.04 % too small, 3 to 5 sigma."""
+    rows, cols = np.mgrid[:320, :300] + 0.0
+    lit = np.hypot(rows - 160, cols - 150) < 140
+    light = lit * (1 - 0.4 * np.square((rows - 160) / 140))
+    at = np.linspace(60, 260, 50)
+    lines = [locate_line(100 * light * (np.exp(-0.5 * np.square((rows - row) / 5)) + 0.05)) for row in at]
+    found = fit_galvo(1e-3 * at, lines, 150.0)
+    assert found.volts_per_row == pytest.approx(1e-3, rel=1e-4)
+    assert found.row(0.160) == pytest.approx(160, abs=0.01)
 
 
 @pytest.mark.parametrize(("offset_rows", "warned"), [(-4.0, True), (4.0, True), (-21.7, False), (-2.0, False)])

@@ -220,9 +220,11 @@ def fit_galvo(
             f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it out of step",
             "do the voltages belong to these frames, and does the galvo move?",
         )
+    drawn_rows, by_light = _drawn_by_light(v, [line for _, line in whole], used)
+    rows = rows - drawn_rows
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
-    return _fit(v, rows, used, tilt_deg, bow, column, len(lines) - len(whole), each_rows)
+    return _fit(v, rows, used, tilt_deg, bow, by_light, column, len(lines) - len(whole), each_rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,9 +253,28 @@ def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: floa
     return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
 
 
-def _place(volts: Floats) -> Floats:
-    """Return places in the sweep, from -1 to 1."""
-    return np.asarray((volts - (volts.max() + volts.min()) / 2) / (np.ptp(volts) / 2), np.float64)
+def _drawn_by_light(volts: Floats, lines: list[Line], used: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return the rows by which lines are drawn to brighter ones, and the covariance of their level and slope.
+
+    Light that changes along the rows, as it falls towards the bundle's rim, moves a line by its variance times the
+    slope of the light's logarithm. A parabola gives it: the map's two parameters depend on no more. Its scatter from
+    core to core is common to the lines of a run.
+    """
+    x = _place(volts, volts[used])
+    light, rows = (np.array([getattr(line, name) for line in lines]) for name in ("amplitude", "row"))
+    terms = np.polynomial.legendre.legvander(x, 2)
+    coefficients, *_ = np.linalg.lstsq(terms[used], np.log(light[used]), rcond=None)
+    scatter = np.square(np.log(light[used]) - terms[used] @ coefficients).mean() * max(1.0, used.sum() / RUNS)
+    rows_per_slope = np.mean([line.width_rows**2 for line in lines]) / np.polyfit(x[used], rows[used], 1)[0]
+    by_terms = rows_per_slope * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])  # derivatives of the terms
+    drawn = terms[:, :2] @ by_terms @ coefficients
+    return drawn, np.asarray(by_terms @ np.linalg.inv(terms[used].T @ terms[used]) @ by_terms.T * scatter, np.float64)
+
+
+def _place(volts: Floats, sweep: Floats | None = None) -> Floats:
+    """Return places in the sweep, from -1 to 1; by default in that of all voltages."""
+    swept = volts if sweep is None else sweep
+    return np.asarray((volts - (swept.max() + swept.min()) / 2) / (np.ptp(swept) / 2), np.float64)
 
 
 def _polynomial(x: Floats) -> Floats:
@@ -304,6 +325,7 @@ def _fit(
     used: NDArray[np.bool_],
     tilt_deg: float,
     bow: _Bow,
+    by_light: Floats,
     column: float,
     dark: int,
     each_rows: float,
@@ -323,7 +345,7 @@ def _fit(
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
     free = len(v) - curve.terms.shape[1]
-    covariance = (of_runs * free + alone * PRIOR_LINES) / (free + PRIOR_LINES)
+    covariance = (of_runs * free + alone * PRIOR_LINES) / (free + PRIOR_LINES) + by_light
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
     def sigma(by: Floats) -> float:
