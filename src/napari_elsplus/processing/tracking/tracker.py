@@ -109,7 +109,7 @@ class Tracker:
         self._turning = Turning(turn_rate or 0.0)
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
-        self._usual = nan
+        self._usual = [nan, nan]
         self._variance, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
@@ -176,7 +176,7 @@ class Tracker:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
         ahead = self._expected(key, here.period)
-        rigid = not self._usual < self.registrar.rigid_correlation
+        rigid = not self._usual[False] < self.registrar.rigid_correlation
         renew = hypot(*ahead) > (KEY_FRAME_REACH * self.grid.diameter if rigid else 0.0)
         if self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             self._test_rotation(renew=renew)
@@ -229,7 +229,9 @@ class Tracker:
         self._motion, self._key, self._last = start.motion, start.later, start.later
         motion = self._prior(start.later, here, self._expected(start.later, here.period))
         link, waited = self._link(start.later, here, motion), start.found.registration
-        if link is None or abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
+        if link is None or link.high_passed is not waited.high_passed:
+            return None
+        if abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
             return None
         _, b, _, d = link.warp
         rise = motion.log_density(b, d) - self._widest(here.period - start.later.period).log_density(b, d)
@@ -310,10 +312,11 @@ class Tracker:
         turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
         for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
             link = self.registrar.register(
-                earlier.view, here.view, motion, self._min_correlation, anywhere=anywhere, turn=turn
+                earlier.view, here.view, motion, self._min_correlation(True), anywhere=anywhere, turn=turn
             )
-            if link is not None and link.odds >= min_odds_nats and not link.correlation < self._min_correlation:
-                return link
+            if link is None or link.odds < min_odds_nats or link.correlation < self._min_correlation(link.high_passed):
+                continue
+            return link
         return None
 
     def _expected_turn(self, earlier: _Placed, here: _Placed) -> Turn:
@@ -322,10 +325,10 @@ class Tracker:
         gap, apart = here.period - last.period, here.period - earlier.period
         return Turn(last.angle - earlier.angle + rate * gap, self._turning.spread(gap), apart)
 
-    @property
-    def _min_correlation(self) -> float:
+    def _min_correlation(self, high_passed: bool) -> float:
         """Correlation that registrations need: somewhat less than the usual one; 0 before any was accepted."""
-        return 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
+        usual = self._usual[high_passed]
+        return 0.0 if isnan(usual) else usual - self.registrar.fall_of_correlation
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose, follow its motion; return False if the probe moved too unevenly within the frames."""
@@ -360,9 +363,10 @@ class Tracker:
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:
         self._last, self._newest = here, link
-        fall = 0.0 if isnan(self._usual) else self._usual - link.correlation
+        usual = self._usual[link.high_passed]
+        fall = 0.0 if isnan(usual) else usual - link.correlation
         self._fell = fall > sqrt(self._variance)
-        self._usual = link.correlation + (1 - _MEMORY) * fall
+        self._usual[link.high_passed] = link.correlation + (1 - _MEMORY) * fall
         self._variance += _MEMORY * (fall * fall - self._variance)
         row, col, tracked = here.at.real, here.at.imag, TrackingState.TRACKED
         return Pose(self._segment, row, col, here.velocity, link.correlation, here.sigma, tracked, here.angle)

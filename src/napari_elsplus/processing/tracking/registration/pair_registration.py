@@ -101,6 +101,8 @@ class PairRegistration(NamedTuple):
         Angle of the later frame less that of the earlier one, radians.
     turn_sigma : float
         One standard deviation of the angle; infinite where no rotation was modelled.
+    high_passed : bool
+        True if the correlation is that of high-passed frames: lower than of frames as they are, and not comparable.
     """
 
     warp: Warp
@@ -112,6 +114,7 @@ class PairRegistration(NamedTuple):
     velocity_variance: float = inf
     turn: float = 0.0
     turn_sigma: float = inf
+    high_passed: bool = False
 
     @property
     def observed(self) -> bool:
@@ -241,8 +244,8 @@ class Registrar:
             Prior of the motion between them; if they may be rotated, in the later frame's orientation, with the earlier
             frame's velocity in its own.
         min_correlation : float
-            Correlation that is needed: without it the odds are not computed, and minus infinity. Not used for frames
-            that may be rotated.
+            Correlation that high-passed frames need: without it the odds are not computed, and minus infinity. Not used
+            for frames that may be rotated.
         anywhere : bool
             True to start from the best of all shifts, False to start from the expected warp.
         turn : Turn, optional
@@ -260,10 +263,11 @@ class Registrar:
     ) -> PairRegistration:  # fmt: skip
         """Register two frames from a warp, or from the expected one."""
         information, tools = np.empty((4, 4)), self._tools
-        a, b, s, d, correlation, overlap, odds, row, col, variance = _register(
+        a, b, s, d, correlation, overlap, odds, row, col, variance, high_passed = _register(
             earlier.arrays, later.arrays, motion, start or Warp(), start is None, min_correlation, tools, information
         )
-        return PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
+        link = PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, Velocity(row, col), variance)
+        return link._replace(high_passed=bool(high_passed))
 
     def _likeliest(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float
