@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -258,6 +259,27 @@ def test_a_recording_without_structure_is_lost_after_its_first_frame(level: int)
     pipeline = track(blinded(truth, 0, 7, level))
     assert [row.state for row in pipeline.rows] == ["tracked"] + ["lost"] * 6
     assert all(np.isnan(row.row_px) for row in pipeline.rows[1:])
+
+
+def test_frames_without_the_laser_are_not_tracked_by_the_background_that_they_lack() -> None:
+    """What is taken off all of them alike, the noise of its few frames included, stands still: they were a segment."""
+    truth, random = record(texture(1000, 4), smooth_path(14, 6.0, 1000, 4), haze=0.2), np.random.default_rng(1)
+    glow = 0.2 * record(np.ones((600, 600), np.float32), np.full((2, 2), 300.0), haze=0.0).frames[0].astype(np.float32)
+    frames = np.rint(0.5 * truth.frames + glow).astype(np.uint8)
+    frames[:7] = np.rint(random.normal(4, 0.8, frames[:7].shape))
+    background = 4 + glow + random.normal(0, 0.8, glow.shape).astype(np.float32)
+    calibration = truth.calibration.model_copy(update={"background": background})
+    states = [row.state for row in track(replace(truth, frames=frames, calibration=calibration)).rows]
+    assert "tracked" not in states[:7]
+    assert set(states[8:]) == {"tracked"}
+
+
+@pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 4095)])
+def test_overexposed_frames_are_not_tracked_by_the_cores(dtype: type, limit: int) -> None:
+    """Divided by the flat field, saturated pixels show its pattern, which stands still: 33 of 39 moves were wrong."""
+    truth = record(texture(1000, 4), smooth_path(6, 6.0, 1000, 4))
+    frames = np.minimum(limit / 255 * 2.5 * truth.frames.astype(np.float64), limit).astype(dtype)
+    assert {row.state for row in track(replace(truth, frames=frames)).rows[1:]} == {"lost"}
 
 
 def test_one_frame_is_a_track_of_one() -> None:

@@ -72,8 +72,10 @@ def subtract_views(
 
 
 @lean_kernel
-def is_blank(raw: Frame, top: int, left: int, reach: int, limit: float) -> bool:
-    """Return True if most of a square part of a frame is at a limit, or all at one level; every eighth pixel counts.
+def survey(raw: Frame, top: int, left: int, reach: int, limit: float) -> tuple[float, float, bool]:
+    """Return the mean grey level of a square part of a frame, the share at a limit, and if all is at one level.
+
+    Every eighth pixel counts.
 
     Parameters
     ----------
@@ -86,10 +88,11 @@ def is_blank(raw: Frame, top: int, left: int, reach: int, limit: float) -> bool:
     limit : float
         Grey level at which the camera saturates.
     """
-    full, alike, seen = 0, 0, 0
+    total, full, alike, seen = 0.0, 0, 0, 0
     for r in range(top, top + reach, _EVERY_PX):
         for c in range(left, left + reach, _EVERY_PX):
+            total += raw[r, c]
             full += raw[r, c] == limit
             alike += raw[r, c] == raw[top, left]
             seen += 1
-    return 2 * full > seen or alike == seen
+    return total / seen, full / seen, alike == seen
