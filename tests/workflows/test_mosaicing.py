@@ -8,12 +8,13 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import OffsetSection
 from napari_elsplus.io import read_track
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import MosaicResult, mosaic, track
-from recordings import Truth, fibres, record, smooth_path
+from recordings import Truth, fibres, record, smooth_path, texture
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -108,3 +109,18 @@ def test_finished_images_exclude_a_calibration_and_a_mode(truth: Truth) -> None:
         track(truth.frames, mode="ls", finished=True)
     with pytest.raises(InputError, match="raw frames need a calibration"):
         mosaic(truth.frames)
+
+
+def test_haze_beyond_the_line_is_not_taken_for_uneven_light() -> None:
+    """No residual is seen there, and the haze stands still: the light seemed to vary by 12 %, and was taken out."""
+    along = np.linspace(0, 110, 13)
+    truth = record(
+        0.15 * texture(700, 3, 3.0), np.stack([230 + 0.8 * along, 230 + along], axis=1),
+        shape=(270, 480), left=(135.3, 116.6), right=(111.1, 355.2), haze=1.0, haze_left_over=0.6,
+    )  # fmt: skip
+    rows, cols = np.indices(truth.frames.shape[1:])
+    unlit = (np.hypot(rows - 135.3, cols - 355.2) > 105) & (cols > 236)
+    offset = OffsetSection(rows=-24.2, uncertainty_rows=0.01)
+    result = mosaic(np.where(unlit, 4, truth.frames), truth.calibration.model_copy(update={"offset": offset}))
+    assert sum(row.state == "tracked" for row in result.track) > 6
+    assert not any("uneven light" in note for note in result.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,11 +93,12 @@ class Pipeline:
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
+        offset = calibration.offset if Mode(mode) in (Mode.ELS, Mode.ELSA) else None
+        self._line_offset = 0.0 if offset is None else offset.rows / self.grid.binning
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
         self._tapers_rim = registered.tapers_rim
         if self._tapers_rim:
-            offset = calibration.offset if Mode(mode) in (Mode.ELS, Mode.ELSA) else None
-            self._weights = rim_weights(self.grid, 0.0 if offset is None else offset.rows / self.grid.binning)
+            self._weights = rim_weights(self.grid, self._line_offset)
         self.rows: list[TrackPoint] = []
         self.poses: list[Pose] = []
         self.mosaics: dict[int, TiledCanvas] = {}
@@ -302,8 +304,12 @@ class Pipeline:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
 
     def _uneven_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.float32] | None:
-        """Estimate the light along the laser line, and return it (side,) if it is uneven."""
-        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, self.grid)
+        """Estimate the light along the laser line, and return it (side,) if it is uneven.
+
+        Where the line has left the bundle while the residual is read, its haze is left, which does not move.
+        """
+        grid = replace(self.grid, line_offset=self._line_offset)
+        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
 
     def _note(self, pose: Pose, frame: int, time_s: float) -> None:
