@@ -171,7 +171,7 @@ class RegistrationTracking(FrontEndImages):
         registrar: Callable[[Grid], Registrar] = Registrar,
     ) -> None:  # fmt: skip
         super().__init__(calibration, frame_shape, mode)
-        self._tracker = Tracker(self.grid, registrar(self.grid))
+        self._tracker = Tracker(self.grid, registrar(self._front_end.sectioned))
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
         """See :meth:`TrackingMethod.track`."""

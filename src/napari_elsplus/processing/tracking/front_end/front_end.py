@@ -80,10 +80,12 @@ class FrontEnd:
             if weight
         ]
         seen = _seen(grid, views, self._frame_shape)
+        subtracts = sign != 0 and mode is not Mode.RESIDUAL
+        line_offset = line_offset_px(calibration) / q if subtracts else 0.0
         if seen is not None:
-            subtracts = sign != 0 and mode is not Mode.RESIDUAL
-            grid = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
-        self.grid = grid
+            grid = replace(grid, seen=seen, line_offset=line_offset)
+        # where the line has left the bundle while the residual is read haze is left, which stands still
+        self.grid, self.sectioned = grid, replace(grid, line_offset=line_offset)
         self.lit = grid.spans(1.0)
         # a view of weight zero is taken from where the other one lies
         self._blocks = view_blocks(views[0], views[-1], q, self.lit, self._frame_shape)
