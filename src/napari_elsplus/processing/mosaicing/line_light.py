@@ -34,8 +34,9 @@ Item = TypeVar("Item")
 FRAMES_AND_PAIRS: Final = ((12, 24), (40, 96))
 """Frames that are compared at most, spread evenly over the track, and pairs of them: at first, and where the light may
 be uneven; chosen: their ratios determine the light to 1 %, and to a few tenths."""
-DISTANCES: Final = (0.06, 0.6)
-"""Of the frames of a pair, diameters: along the line at least, and in all at most; chosen."""
+DISTANCES: Final = (0.1, 0.6)
+"""Of the frames of a pair, diameters: along the line at least, and in all at most; chosen: ratios that are off by 2 %
+alike give a ramp of 20 % across the field, and of pairs closer to each other more."""
 MAX_TURN_RAD: Final = 0.05
 """Between the frames of a pair; chosen: at the rim the tissue is then displaced by six columns."""
 COLUMNS: Final = 8
