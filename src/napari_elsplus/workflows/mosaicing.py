@@ -13,7 +13,6 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
-from napari_elsplus.processing.calibration.frame_regions import saturation_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
@@ -310,11 +309,7 @@ def calibration_to_track_by(
     CalibrationError
         If the calibration is of another rig than the frames.
     """
-    notes = [
-        agreement_note(raw, calibration),
-        saturation_note(raw, calibration),
-        frame_rate_note(calibration, times_s, pairs.frame_numbers),
-    ]
+    notes = [agreement_note(raw, calibration), frame_rate_note(calibration, times_s, pairs.frame_numbers)]
     if tracking_method(method).corrects_rolling_shutter:
         calibration, note = with_timing(calibration, pairs, mode)
         notes.append(note)

@@ -103,18 +103,6 @@ def test_frames_that_show_nothing_are_said_to_fit_nowhere(
     assert "note: no two frames fit together" in run.out
 
 
-def test_overexposed_frames_are_said_to_be_saturated(
-    elsplus: Callable[..., Any], recording: tuple[Path, Any], tmp_path: Path
-) -> None:
-    """It was only asked if the probe was on tissue, and slow enough."""
-    folder, _ = recording
-    bright = 3.0 * tifffile.imread(folder / "moving.tif")[:4]
-    tifffile.imwrite(tmp_path / "bright.tif", np.minimum(bright, 255).astype(np.uint8), photometric="minisblack")
-    run = elsplus("mosaic", tmp_path / "bright.tif", "-c", folder / "cal.json", "-o", tmp_path / "m.tif")
-    assert run.code == 0, run.err
-    assert re.search(r"note: \d+ % of the confocal view is saturated, .*: lower the laser's power", run.out)
-
-
 @pytest.fixture
 def finished(tmp_path: Path) -> tuple[Path, np.ndarray]:
     """A stack of finished images that are not square, with a repeated frame, and their positions."""

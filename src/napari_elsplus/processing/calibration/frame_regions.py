@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.bundle.location import Circle
     from napari_elsplus.processing.images.sectioning import Frames
 
@@ -165,24 +164,3 @@ def saturated_share(frames: Frames, name: str, limit: float = MAX_SATURATED) -> 
             f"{100 * share:.0f} % of the {name} is saturated (grey level {white:g})", "lower the light or the gain"
         )
     return share
-
-
-def saturation_note(frames: Frames, calibration: Calibration) -> str:
-    """Return a message to the user where a view of the bundle is over-exposed, else an empty one.
-
-    Parameters
-    ----------
-    frames : sequence of numpy.ndarray
-        Raw frames (rows, cols), any real dtype.
-    calibration : Calibration
-        Without a bundle section there is none.
-    """
-    discs = () if calibration.bundle is None else calibration.bundle.discs
-    for name, disc in zip(("confocal", "residual"), discs, strict=False):
-        shares = [np.mean(each[dark_pixels(each.shape, [disc]) == 0] >= white_level(each)) for each in sampled(frames)]
-        if shares and (share := float(np.mean(shares))) > MAX_SATURATED:
-            return (
-                f"{100 * share:.0f} % of the {name} view is saturated, where the cores show instead of the specimen: "
-                "lower the laser's power, the exposure or the gain"
-            )
-    return ""
