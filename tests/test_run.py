@@ -361,15 +361,17 @@ with run.virtual_screen("640x480") as screen:
 
 
 @pytest.mark.skipif(not shutil.which("xvfb-run"), reason="no Xvfb is installed")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_no_virtual_screen_is_left_behind(number: signal.Signals) -> None:
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT", "SIGKILL"])
+def test_no_virtual_screen_is_left_behind(name: str) -> None:
     """Before: a run that was terminated left its screen, and the tests that were drawn on it, for ever."""
     command = [sys.executable, "-c", DRAWS, str(SCRIPT)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as drawing:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, text=True, start_new_session=True, **pipes) as drawing:
         assert drawing.stdout is not None
         lock = Path(f"/tmp/.X{drawing.stdout.readline().strip().removeprefix(':')}-lock")
         assert lock.exists()
-        drawing.send_signal(number)
+        interrupted = name == "SIGINT"  # by a terminal, which interrupts all of its processes
+        (os.killpg if interrupted else os.kill)(drawing.pid, getattr(signal, name))
         drawing.wait(60)
         end_s = time.monotonic() + 30
         while lock.exists() and time.monotonic() < end_s:
