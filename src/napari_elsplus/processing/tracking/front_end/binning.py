@@ -6,7 +6,7 @@ nearest cache; the memory that comes next is prefetched.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     Frame = NDArray[Any]
     Image = NDArray[np.float32]
-
-_EVERY_PX: Final = 8
 
 
 @lean_kernel
@@ -72,27 +70,13 @@ def subtract_views(
 
 
 @lean_kernel
-def survey(raw: Frame, top: int, left: int, reach: int, limit: float) -> tuple[float, float, bool]:
-    """Return the mean grey level of a square part of a frame, the share at a limit, and if all is at one level.
-
-    Every eighth pixel counts.
-
-    Parameters
-    ----------
-    raw : numpy.ndarray
-        (rows, cols) raw frame.
-    top, left : int
-        First row and column of the part.
-    reach : int
-        Its rows and columns.
-    limit : float
-        Grey level at which the camera saturates.
-    """
-    total, full, alike, seen = 0.0, 0, 0, 0
-    for r in range(top, top + reach, _EVERY_PX):
-        for c in range(left, left + reach, _EVERY_PX):
-            total += raw[r, c]
-            full += raw[r, c] == limit
-            alike += raw[r, c] == raw[top, left]
-            seen += 1
-    return total / seen, full / seen, alike == seen
+def survey(part: Frame, limit: float) -> tuple[float, float, bool]:
+    """Return the mean level of `part` (rows, cols) of a frame, the share at a `limit`, and if all is at one level."""
+    total, full, alike = 0.0, 0, 0
+    rows, cols = part.shape
+    for r in range(rows):
+        for c in range(cols):
+            total += part[r, c]
+            full += part[r, c] == limit
+            alike += part[r, c] == part[0, 0]
+    return total / part.size, full / part.size, alike == part.size

@@ -40,6 +40,8 @@ DARK_PERCENTILE: Final = 5.0
 MAX_SATURATED: Final = 0.25
 """Share of the confocal view's middle, above which it is not tracked; chosen: of three rigs on tissue two were tracked
 wrongly with 0.4 and 0.6, and one rightly with 0.12."""
+_EVERY_PX: Final = 8
+"""Rows and columns of the middle of a view of which one is read; chosen: about a thousand pixels in all."""
 _LOWEST_FLAT: Final = 0.2
 _FLAT_ROUNDS: Final = 5
 """Iterations in which the flat is freed of its resampling; chosen: with more the pattern that stays is as large."""
@@ -90,7 +92,7 @@ class FrontEnd:
         # a view of weight zero is taken from where the other one lies
         self._blocks = view_blocks(views[0], views[-1], q, self.lit, self._frame_shape)
         reach = grid.side * q
-        self._middle = (grid.origin[0] + reach // 4, grid.origin[1] + reach // 4, reach // 2)
+        self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
         self._dark_level = -np.inf
         self._weights = (np.float32(weights[0]), np.float32(weights[1]))
         self._rows = scratch()
@@ -104,8 +106,7 @@ class FrontEnd:
         if calibration.background is not None:
             offset = self._binned(self._hot_pixels.mended(calibration.background))
             self._factors = interleaved(scale, offset)
-            top, left, size = self._middle
-            level = calibration.background[top : top + size, left : left + size].mean()
+            level = calibration.background[self._middle].mean()
             self._dark_level = float(level + np.percentile(calibration.background, DARK_PERCENTILE)) / 2
 
     def image(
@@ -167,7 +168,8 @@ class FrontEnd:
         raw : numpy.ndarray
             (rows, cols) raw frame.
         """
-        level, saturated, even = survey(_readable(raw), *self._middle, white_level(raw))
+        part = _readable(raw)[self._middle]
+        level, saturated, even = survey(part, white_level(part))
         return bool(saturated > MAX_SATURATED or even or level < self._dark_level)
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
