@@ -42,10 +42,6 @@ SHIFT_STEP_PX: Final = 0.75
 """Chosen: a quarter of a core's spacing."""
 SHIFT_STEPS: Final = 4
 """To either side; derived: they cover the spacing of cores."""
-ALIAS_FREE_PX: Final = 1.0
-"""Standard deviation of the Gaussian filter through which cores are compared; derived: it leaves 4 % at 0.4 cycles a
-pixel, about where cores 2.5 px apart alias, which draws shifted views towards whole pixels. Measured, errors over what
-is stated, RMS of five rigs: 1.3 at 1.9 px (9.8 through 0.6 px), 0.8 at 2.1 px (5.1), at most 0.8 from 2.4 px on."""
 
 
 class DifferentCoresError(MeasurementError):
@@ -392,7 +388,7 @@ def core_contrast(frame: Image, radius: float) -> Image:
     radius : float
         Of the bundle's image, px.
     """
-    fine = cv2.GaussianBlur(frame, (0, 0), ALIAS_FREE_PX)
+    fine = cv2.GaussianBlur(frame, (0, 0), 0.6)
     mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
     dark = float(np.percentile(mean, 1))
     floor = 0.05 * float(np.percentile(mean - dark, 95))
