@@ -63,6 +63,13 @@ def until(engine: Engine, compared: list[bool], comparisons: int) -> str:
     return engine.status().disagreement
 
 
+def until_judged(engine: Engine, compared: list[bool], disagrees: bool) -> None:
+    end_s = time.monotonic() + 30
+    while compared[-1] is not disagrees:
+        assert time.monotonic() < end_s, "no comparison finds the change"
+        until(engine, compared, len(compared) + 1)
+
+
 def test_a_tilt_mirror_turned_while_frames_stream_is_warned_of_until_it_is_turned_back(
     rig: Rig, compared: list[bool]
 ) -> None:
@@ -77,14 +84,12 @@ def test_a_tilt_mirror_turned_while_frames_stream_is_warned_of_until_it_is_turne
         aligned = optics.simulation
         row_um = preset("240hz").optics.um_per_px
         optics.simulation = replace(aligned, offset_um=aligned.offset_um + row_um)
-        while not compared[-1]:
-            until(engine, compared, len(compared) + 1)
+        until_judged(engine, compared, disagrees=True)
         warning = until(engine, compared, len(compared) + 2)
         assert "the residual view has moved by" in warning
         assert until(engine, compared, len(compared) + COMPARISONS) == warning
         optics.simulation = aligned
-        while compared[-1]:
-            until(engine, compared, len(compared) + 1)
+        until_judged(engine, compared, disagrees=False)
         assert until(engine, compared, len(compared) + 1) == ""
         assert engine.status().faults == ()
 
