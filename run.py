@@ -77,7 +77,7 @@ PATIENT = (
     "tests/acquisition/engine/test_watcher.py",
     "tests/acquisition/link/test_known_parking.py",
     "tests/acquisition/link/test_server.py",
-    "tests/cli/rig",
+    "tests/cli/rig/test_calibrate.py",
     "tests/examples/test_extending_calibration_step.py",
     "tests/examples/test_extending_dock_widget.py",
     "tests/hardware/test_rigs.py",
