@@ -22,3 +22,8 @@ def runs(pid: int) -> bool:
         return exists(pid) and not (stat.parents[1].is_dir() and stat.read_text().split()[2] == "Z")
     except FileNotFoundError:
         return False
+
+
+def segments(pid: int) -> list[Path]:
+    """Segments of shared memory that a process of that number made."""
+    return list(Path("/dev/shm").glob(f"elsplus-{pid}-*"))

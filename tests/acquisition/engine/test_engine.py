@@ -23,14 +23,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import RecordingWriter, open_recording
 from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.workflows.sectioning import section
-
-
-def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    """Wait for something that another thread does."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
+from waiting import until
 
 
 def newest(engine: Engine, *names: str) -> tuple[int, dict[str, np.ndarray]]:

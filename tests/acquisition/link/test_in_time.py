@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,8 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from processes import runs
+from processes import runs, segments
+from waiting import until
 
 CLEAR_V = -0.9
 """Where the calibration parks; the rig's own place is another."""
@@ -48,17 +48,6 @@ client.hold(0.25).result()
 print(client.pid, flush=True)
 time.sleep(600)
 """
-
-
-def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
-def segments(pid: int) -> list[Path]:
-    return list(Path("/dev/shm").glob(f"elsplus-{pid}-*"))
 
 
 def test_images_and_status_cross_the_processes(client: EngineClient, calibration: Calibration) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,15 +14,9 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.virtual.card.process import RemoteCard, start_card
+from waiting import until
 
 ENGINE = Path(__file__).parents[1] / "engine_process.py"
-
-
-def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -54,7 +47,7 @@ def test_a_client_that_has_closed_its_engine_knows_that_the_galvo_is_not_parked(
     client.close()
     assert client.status.park_state.message.startswith("NOT PARKED: switch the laser off")
     card.inject(refuse_until_s=0.0)
-    until(lambda: card.last_volts == pytest.approx(-0.7))  # by the guardian
+    until(lambda: card.last_volts == pytest.approx(-0.7), seconds=30.0)  # by the guardian
 
 
 @pytest.mark.skipif(os.name != "posix", reason="stops processes as POSIX does")
@@ -62,10 +55,10 @@ def test_of_an_engine_that_does_not_answer_nothing_is_claimed(client: EngineClie
     """Before: its last status was displayed without end, as if frames streamed."""
     os.kill(client.pid, signal.SIGSTOP)
     try:
-        until(lambda: any("has not answered" in fault.problem for fault in client.status.faults))
+        until(lambda: any("has not answered" in fault.problem for fault in client.status.faults), seconds=30.0)
         assert client.status.park_state.stage is ParkStage.UNKNOWN
     finally:
         os.kill(client.pid, signal.SIGCONT)
-    until(lambda: client.status.park_state.parked)
+    until(lambda: client.status.park_state.parked, seconds=30.0)
     assert any("stood still" in fault.problem for fault in client.status.faults)
     assert not any("has not answered" in fault.problem for fault in client.status.faults)

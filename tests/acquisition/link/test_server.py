@@ -3,8 +3,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from threading import Event, Thread
 
@@ -21,18 +19,8 @@ from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from processes import exists
-
-
-def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
-
-
-def segments(pid: int) -> list[Path]:
-    return list(Path("/dev/shm").glob(f"elsplus-{pid}-*"))
+from processes import exists, segments
+from waiting import until
 
 
 def test_whoever_has_the_reply_knows_what_the_command_changed(client: EngineClient) -> None:

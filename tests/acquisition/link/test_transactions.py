@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from napari_elsplus.io import open_recording
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
 from small_rig import small_calibration
+from waiting import until
 
 HERE = Path(__file__).parents[1]
 SLOW = Settings("240hz", frame_rate_hz=100.0)
@@ -54,13 +54,6 @@ live = client.status.live
 client.close()
 print(live, flush=True)
 """
-
-
-def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.01)
 
 
 def sweep(client: EngineClient) -> Future[object]:
