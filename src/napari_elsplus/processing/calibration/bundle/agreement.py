@@ -105,7 +105,7 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
 
 
 def agreement_note(frames: Frames, calibration: Calibration) -> str:
-    """Refuse a calibration of another rig (:func:`require_agreement`); return a message on another bit depth, else "".
+    """Refuse a calibration of another rig (:func:`require_agreement`); else return :func:`grey_level_note`.
 
     Parameters
     ----------
