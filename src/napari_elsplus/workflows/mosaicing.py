@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, TrackPoint, refuse_existing, write_mosaic, write_track
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.progress import without_display
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.registry import Method, tracking_method
-from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
-from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
-from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED, Pipeline, calibration_of_finished_images
-from napari_elsplus.workflows.two_threads import Pipelined
+from napari_elsplus.processing.tracking.registry import Method
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+from napari_elsplus.workflows.tracked_stack import TrackedStack
+from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -162,29 +156,27 @@ def mosaic(
     CalibrationError
         If the calibration does not fit the frames.
     """
-    _check_arguments(raw, calibration, mode, finished=finished)
     if flat is not None and not (finished and Insertion(insertion) is Insertion.CORES):
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
-    shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    times_s = _times_s(raw, calibration) if times_s is None else times_s
-    pipeline, calibration, notes = _tracked(
-        raw, calibration, shown, method, insertion, times_s, frame_numbers, threads, progress, flat
-    )  # fmt: skip
-    pipeline.finish(RawPairs(raw, shown), lambda numbers: progress(numbers, "Mosaic"))
-    largest = max(pipeline.mosaics.values(), key=_area_px, default=None)
+    stack = _stack(raw, calibration, mode, method, insertion, times_s, frame_numbers, finished=finished, flat=flat)
+    stack.track(lambda numbers: progress(numbers, "Tracking"), grow=False, threads=threads)
+    stack.finish(lambda numbers: progress(numbers, "Mosaic"))
+    plan = stack.plan
+    canvases = list(stack.canvases[plan.tracked].values())
+    largest = max(canvases, key=_area_px, default=None)
     extent = None if largest is None else largest.extent
     return MosaicResult(
-        montage(list(pipeline.mosaics.values())),
-        pipeline.um_per_px,
-        pipeline.rows,
-        len(pipeline.mosaics),
-        calibration,
+        montage(canvases),
+        stack.lead.um_per_px,
+        stack.lead.rows,
+        len(canvases),
+        None if finished else stack.calibration,
         {
-            "method": str(method),
-            "mode": "finished" if finished else shown.value,
-            "insertion": Insertion(insertion).value,
+            "method": plan.method,
+            "mode": "finished" if finished else plan.tracked.value,
+            "insertion": plan.insertion.value,
         },
-        notes + notes_on(pipeline),
+        tuple(stack.notes),
         (0.0, 0.0) if extent is None else (-float(extent.top), -float(extent.left)),
     )
 
@@ -210,16 +202,36 @@ def track(
         A row for every frame (for every second frame with ELSA): position of the probe in camera pixels and
         micrometres, relative to the first frame of its segment, with its standard deviation and state.
     """
-    _check_arguments(raw, calibration, mode, finished=finished)
-    shown = Mode.LS if finished else Mode(mode or Mode.ELS)
-    times_s = _times_s(raw, calibration) if times_s is None else times_s
-    pipeline, _, notes = _tracked(
-        raw, calibration, shown, method, Insertion.DEAD_LEAF, times_s, frame_numbers, 2, progress
-    )  # fmt: skip
-    for note in notes:
+    stack = _stack(raw, calibration, mode, method, Insertion.DEAD_LEAF, times_s, frame_numbers, finished=finished)
+    stack.track(lambda numbers: progress(numbers, "Tracking"), grow=False, threads=2)
+    for note in stack.notes:
         warnings.warn(note, stacklevel=2)
-    pipeline.refine(RawPairs(raw, shown))
-    return pipeline.rows
+    stack.refine()
+    return stack.lead.rows
+
+
+def _stack(
+    raw: Frames,
+    calibration: Calibration | None,
+    mode: Mode | str | None,
+    method: str,
+    insertion: Insertion | str,
+    times_s: Sequence[float] | NDArray[np.float64] | None,
+    frame_numbers: Sequence[int] | NDArray[np.int64] | None,
+    *,
+    finished: bool,
+    flat: NDArray[Any] | None = None,
+) -> TrackedStack:
+    """Return the stack of :func:`mosaic`, with what is known of its times and numbers."""
+    _check_arguments(raw, calibration, mode, finished=finished)
+    plan = MosaicPlan((Mode.LS if finished else Mode(mode or Mode.ELS),), str(method), Insertion(insertion))
+    if isinstance(raw, Recording):
+        times_s = raw.times_by(calibration) if times_s is None else times_s
+        frame_numbers = raw.frame_numbers if frame_numbers is None else frame_numbers
+    elif times_s is None:
+        times_s = getattr(raw, "times_s", None)
+    by = calibration or calibration_of_finished_images(raw)
+    return TrackedStack(raw, by, plan, times_s, frame_numbers, finished=finished, flat=flat)
 
 
 def _check_arguments(raw: Frames, calibration: Calibration | None, mode: Mode | str | None, *, finished: bool) -> None:
@@ -238,102 +250,6 @@ def _check_arguments(raw: Frames, calibration: Calibration | None, mode: Mode | 
         raise InputError("raw frames need a calibration", "give one, or `finished` for finished images")
     if calibration is not None:
         require_calibration(calibration)
-
-
-def _tracked(
-    raw: Frames,
-    calibration: Calibration | None,
-    mode: Mode,
-    method: str,
-    insertion: Insertion | str,
-    times_s: Sequence[float] | NDArray[np.float64] | None,
-    frame_numbers: Sequence[int] | NDArray[np.int64] | None,
-    threads: Literal[1, 2],
-    progress: Progress,
-    flat: NDArray[Any] | None = None,
-) -> tuple[Pipeline, Calibration | None, tuple[str, ...]]:
-    """Track all frames on one thread or two; return the pipeline, the calibration with its timing, and notes.
-
-    Frames without a calibration are finished images.
-    """
-    if frame_numbers is None and isinstance(raw, Recording):
-        frame_numbers = raw.frame_numbers
-    for name, values in (("times", times_s), ("frame numbers", frame_numbers)):
-        if values is not None and len(values) != len(raw):
-            raise InputError(f"{len(values)} {name} for {len(raw)} frames", "give one for each frame")
-    pairs, notes = RawPairs(raw, mode, frame_numbers), list[str]()
-    if calibration is None:
-        nominal = calibration_of_finished_images(raw)
-        pipeline = new_finished_pipeline(raw, nominal, method, insertion, flat=flat)
-    else:
-        rows, cols = raw[0].shape
-        calibration, notes = calibration_to_track_by(raw, calibration, pairs, mode, method, times_s)
-        pipeline = new_pipeline(calibration, (rows, cols), mode, method, insertion)
-    with Pipelined(pipeline, insert=False) if threads == 2 else nullcontext() as ahead:
-        skip, add = (pipeline.skip, pipeline.track) if ahead is None else (ahead.skip, ahead.add)
-        for index in progress(range(len(pairs)), "Tracking"):
-            frame = pairs.frame(index)
-            confocal, residual = pairs(index)
-            skip(pairs.lost_before(index))
-            add(confocal, frame, np.nan if times_s is None else float(times_s[frame]), residual)
-    return pipeline, calibration, tuple(notes)
-
-
-def calibration_to_track_by(
-    raw: Frames,
-    calibration: Calibration,
-    pairs: RawPairs,
-    mode: Mode,
-    method: str,
-    times_s: Sequence[float] | NDArray[np.float64] | None,
-) -> tuple[Calibration, list[str]]:
-    """Return the calibration with the timing that raw frames are tracked by, and messages to the user.
-
-    Parameters
-    ----------
-    raw : Frames
-        Raw frames (rows, cols).
-    calibration : Calibration
-        As it was given. Line periods per frame that it lacks are estimated if the method needs them.
-    pairs : RawPairs
-        The same frames in the pairs of the mode.
-    mode : Mode
-        Image type to track.
-    method : str
-        Name of the tracking method.
-    times_s : sequence of float or None
-        (T,) time of each frame, seconds.
-
-    Raises
-    ------
-    CalibrationError
-        If the calibration is of another rig than the frames.
-    """
-    notes = [agreement_note(raw, calibration), frame_rate_note(calibration, times_s, pairs.frame_numbers)]
-    if tracking_method(method).corrects_rolling_shutter:
-        calibration, note = with_timing(calibration, pairs, mode)
-        notes.append(note)
-    return calibration, [note for note in notes if note]
-
-
-def notes_on(pipeline: Pipeline) -> tuple[str, ...]:
-    """Return messages to the user on a finished `pipeline`: light that was taken out, and too few tracked frames."""
-    tracked = sum(row.state == TrackingState.TRACKED for row in pipeline.rows)
-    return _uneven_light(pipeline) + ((UNLINKED,) if tracked < 2 else ())
-
-
-def _times_s(raw: Frames, calibration: Calibration | None) -> Sequence[float] | NDArray[np.float64] | None:
-    """Return the time of each frame, (T,), as far as the frames have them."""
-    return raw.times_by(calibration) if isinstance(raw, Recording) else getattr(raw, "times_s", None)
-
-
-def _uneven_light(pipeline: Pipeline) -> tuple[str, ...]:
-    """Return a note on the light that was taken out of the mosaics; empty where it was even."""
-    light = pipeline.line_light
-    if light is None or not light.uneven:
-        return ()
-    low, high = (100 * float(part) for part in np.percentile(light.relative, (5, 95)))
-    return (f"uneven light along the line, {low:.0f} to {high:.0f} % of its mean, was taken out",)
 
 
 def _area_px(canvas: Canvas) -> int:

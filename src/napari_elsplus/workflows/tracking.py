@@ -15,8 +15,6 @@ from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.deformation import estimate_deformation
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.tracking.finished.field import FinishedField
-from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
@@ -356,39 +354,3 @@ def calibration_of_finished_images(frames: Frames, um_per_px: float | None = Non
         "residual_to_confocal": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
     }
     return Calibration.parse({"bundle": bundle, **({} if um_per_px is None else {"optics": {"um_per_px": um_per_px}})})
-
-
-def finished_pipeline(
-    frames: Frames,
-    calibration: Calibration,
-    *,
-    method: str = Method.ELSPLUS,
-    insertion: Insertion | str = Insertion.DEAD_LEAF,
-    field: FinishedField | None = None,
-) -> Pipeline:
-    """Return a pipeline that tracks and inserts finished images.
-
-    Parameters
-    ----------
-    frames : Frames
-        (T, rows, cols).
-    calibration : Calibration
-        Nominal, with the scale if it is known: :func:`calibration_of_finished_images`.
-    method : str
-        Tracking method. ``"elsplus"`` registers and inserts at the images' own resolution, without a rolling shutter;
-        others receive the images as a confocal view.
-    insertion : Insertion or str
-        How overlapping frames are combined.
-    field : FinishedField, optional
-        Field of view, estimated once for several pipelines; by default estimated here.
-
-    Raises
-    ------
-    InputError
-        If the images are too small to be tracked.
-    """
-    rows, cols = frames[0].shape
-    tracking = None
-    if method == Method.ELSPLUS:
-        tracking = FinishedTracking(FinishedField.of_stack(frames) if field is None else field)
-    return Pipeline(calibration, (rows, cols), Mode.LS, method=method, insertion=insertion, tracking=tracking)

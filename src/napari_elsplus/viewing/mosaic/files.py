@@ -100,7 +100,8 @@ def mosaic_script(stack: Stack, calibration_file: Path | None, plan: MosaicPlan)
     modes = ", ".join(f"Mode.{mode.name}" for mode in plan.modes)
     body = f"""
 plan = MosaicPlan(({modes},), {str(plan.method)!r}, Insertion.{plan.insertion.name})
-mosaics = StackMosaics(recording, calibration, plan, recording.times_by(calibration))
+times_s, numbers = recording.times_by(calibration), recording.frame_numbers
+mosaics = StackMosaics(recording, calibration, plan, times_s, numbers)
 mosaics.run()
 for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan, calibration):
     print(path)

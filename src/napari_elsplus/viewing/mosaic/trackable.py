@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.saturation import saturated_part, saturation_note
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -25,6 +24,8 @@ class TrackableFrames:
     ----------
     frames : Frames
         (T, rows, cols), raw, or finished images.
+    checkpoint : callable
+        Called whenever a frame is read; an exception raised in it ends the reading.
 
     Raises
     ------
@@ -32,9 +33,8 @@ class TrackableFrames:
         If there are fewer than two frames, or a frame is not a finite 2D image.
     """
 
-    def __init__(self, frames: Frames) -> None:
-        self._frames = frames
-        self._checkpoint: Callable[[], None] = _no_checkpoint
+    def __init__(self, frames: Frames, checkpoint: Callable[[], None]) -> None:
+        self._frames, self._checkpoint = frames, checkpoint
         if len(frames) < 2:
             raise InputError(
                 f"the stack has {len(frames)} frame{'s' * (len(frames) != 1)}", "choose one of at least two"
@@ -52,21 +52,6 @@ class TrackableFrames:
             raise InputError(f"frame {index} contains NaN or infinity", "replace these values, or choose another stack")
         return frame
 
-    @contextmanager
-    def with_checkpoint(self, checkpoint: Callable[[], None]) -> Iterator[None]:
-        """Return a context in which a function is called whenever a frame is read.
-
-        Parameters
-        ----------
-        checkpoint : callable
-            An exception raised in it ends the reading.
-        """
-        self._checkpoint = checkpoint
-        try:
-            yield
-        finally:
-            self._checkpoint = _no_checkpoint
-
     def require_contrast(self) -> None:
         """Raise an error if the first, middle and last frames are constant.
 
@@ -82,7 +67,3 @@ class TrackableFrames:
                 f"the frames are constant (grey level {chosen[0].flat[0]:g})",
                 saturated or "is the laser on, and the probe on tissue?",
             )
-
-
-def _no_checkpoint() -> None:
-    """Do nothing."""

@@ -118,11 +118,12 @@ class MosaicPanel(EnginePanel):
                     source.times_s,
                     source.frame_numbers,
                     finished=source.finished,
+                    checkpoint=self.work.stop_if_cancelled,
                 )
                 mosaics.compile_kernels()
                 self.work.stop_if_cancelled()
                 self._arrived = mosaics, source  # displayed from now on
-                mosaics.run(self.work.progress, self.work.stop_if_cancelled)
+                mosaics.run(self.work.progress)
                 return mosaics
 
             self.work.begin(source.steps(plan), made, self._made)

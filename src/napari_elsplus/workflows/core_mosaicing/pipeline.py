@@ -21,12 +21,14 @@ from napari_elsplus.processing.mosaicing.cores.reconstruction import (
 from napari_elsplus.processing.mosaicing.cores.refinement import CoreGains, Placement, refine_placement
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
+from napari_elsplus.processing.tracking.finished.field import FinishedField
+from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.core_mosaicing.views import CoreView, FinishedBundle, view_of_raw_frames
-from napari_elsplus.workflows.tracking import Pipeline, finished_pipeline
+from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.progress import ProgressWrapper
-    from napari_elsplus.processing.tracking.finished.field import FinishedField
     from napari_elsplus.processing.tracking.methods import TrackingMethod
 
 CELLS_PER_PITCH: Final = 4
@@ -276,7 +277,6 @@ def new_finished_pipeline(
     method: str,
     insertion: Insertion | str,
     *,
-    field: FinishedField | None = None,
     flat: NDArray[Any] | None = None,
 ) -> Pipeline:
     """Return the pipeline that tracks finished images and inserts them by a rule.
@@ -288,11 +288,11 @@ def new_finished_pipeline(
     calibration : Calibration
         Nominal: :func:`~napari_elsplus.workflows.tracking.calibration_of_finished_images`.
     method : str
-        Name of the tracking method; ``"elsplus"`` for insertion by cores, since others would track the cores.
+        Name of the tracking method. ``"elsplus"`` registers and inserts at the images' own resolution, without a
+        rolling shutter; others receive the images as a confocal view. For insertion by cores ``"elsplus"``, since
+        others would track the cores.
     insertion : Insertion or str
         How overlapping frames are combined.
-    field : FinishedField, optional
-        Of images that are inserted as they are, to estimate it once for several pipelines.
     flat : numpy.ndarray, optional
         (rows, cols) evenly lit image of the bundle, in which cores are found; the mean of the frames by default.
 
@@ -302,14 +302,15 @@ def new_finished_pipeline(
         If the images are too small to be tracked; if cores are to be inserted that they do not show, or by another
         tracking method.
     """
+    rows, cols = frames[0].shape
     if Insertion(insertion) is not Insertion.CORES:
-        return finished_pipeline(frames, calibration, method=method, insertion=insertion, field=field)
+        tracking = FinishedTracking(FinishedField.of_stack(frames)) if method == Method.ELSPLUS else None
+        return Pipeline(calibration, (rows, cols), Mode.LS, method=method, insertion=insertion, tracking=tracking)
     if method != Method.ELSPLUS:
         raise InputError(
             f"the method {method!r} would track the cores of finished images", f"choose {Method.ELSPLUS.value!r}"
         )
     bundle, tries = FinishedBundle(frames, flat), MAX_REFINEMENTS
-    rows, cols = frames[0].shape
     return CorePipeline(
         calibration, (rows, cols), Mode.LS, view=bundle.view, tracking=bundle.tracking(), max_refinements=tries
     )  # fmt: skip

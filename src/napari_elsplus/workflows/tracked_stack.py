@@ -1,0 +1,215 @@
+"""Track and mosaics of a stack, of one image type or several: what the command line and the Mosaic panel run."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from functools import cached_property
+from math import nan
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from napari_elsplus.errors import InputError
+from napari_elsplus.io import TrackTable
+from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.images.modes import elsa_pair
+from napari_elsplus.processing.images.sectioning import Frames, Mode
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.registry import tracking_method
+from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
+from napari_elsplus.workflows.line_timing import frame_rate_note, with_timing
+from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracking import UNLINKED
+from napari_elsplus.workflows.two_threads import Pipelined
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.mosaicing.tiles import Canvas
+    from napari_elsplus.processing.progress import ProgressWrapper
+    from napari_elsplus.workflows.mosaic_plan import MosaicPlan
+    from napari_elsplus.workflows.tracking import Pipeline
+
+
+class TrackedStack:
+    """Tracks the frames of a stack and inserts them into mosaics, one for each image type and segment.
+
+    Parameters
+    ----------
+    frames : Frames
+        (T, rows, cols), raw, or finished images.
+    calibration : Calibration
+        Contains the bundle section; nominal for finished images.
+    plan : MosaicPlan
+        Modes, method and insertion.
+    times_s : sequence of float, optional
+        (T,) acquisition time of each frame, seconds; unknown by default.
+    frame_numbers : sequence of int, optional
+        (T,) the camera's number of each frame, where gaps are lost frames; none were lost by default.
+    finished : bool
+        True for finished images, which are tracked at their own resolution; the plan then has one mode, LS.
+    flat : numpy.ndarray, optional
+        (rows, cols) evenly lit image of the bundle, in which the cores of finished images are found.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        From :meth:`track` on with the line periods per frame, estimated from the motion if it lacked them.
+    lead : Pipeline
+        Tracks the first of the plan's image types; the others are inserted along its track.
+    rows : TrackTable
+        Track so far, a row for every frame; another object after loop closure.
+    notes : list of str
+        Messages for the user.
+    revision : int
+        Number that changes when existing poses or segments change.
+
+    Raises
+    ------
+    InputError
+        If there are too few frames, or times or numbers are not as many.
+    CalibrationError
+        If the calibration does not fit.
+    """
+
+    def __init__(
+        self,
+        frames: Frames,
+        calibration: Calibration,
+        plan: MosaicPlan,
+        times_s: Sequence[float] | NDArray[np.float64] | None = None,
+        frame_numbers: Sequence[int] | NDArray[np.int64] | None = None,
+        *,
+        finished: bool = False,
+        flat: NDArray[Any] | None = None,
+    ) -> None:
+        for name, values in (("times", times_s), ("frame numbers", frame_numbers)):
+            if values is not None and len(values) != len(frames):
+                raise InputError(f"{len(values)} {name} for {len(frames)} frames", "give one for each frame")
+        self.plan, self.calibration = plan, calibration
+        self.rows = TrackTable()
+        self.notes: list[str] = []
+        self.revision = 0
+        self._frames, self._times_s, self._finished, self._flat = frames, times_s, finished, flat
+        self._pairs = RawPairs(frames, plan.tracked, frame_numbers)
+        self._followers: dict[Mode, Pipeline] = {}
+        self._set_out()
+        self._shown: Mapping[Mode, Mapping[int, Canvas]] | None = None
+
+    @property
+    def canvases(self) -> Mapping[Mode, Mapping[int, Canvas]]:
+        """Segments of each mode, in the order of the plan."""
+        if self._shown is not None:
+            return self._shown
+        makers = {self.plan.tracked: self.lead, **self._followers}
+        return {mode: dict(makers[mode].mosaics) for mode in self.plan.modes}
+
+    def run(self, progress: ProgressWrapper = iter) -> None:
+        """Track and insert all frames, then close loops, join segments, and re-render the mosaics.
+
+        Parameters
+        ----------
+        progress : callable
+            Wraps an iterable of steps; an exception raised in it ends the run, and the mosaics so far remain.
+        """
+        self.track(progress)
+        self.finish(progress)
+
+    def track(self, progress: ProgressWrapper = iter, *, grow: bool = True, threads: Literal[1, 2] = 1) -> None:
+        """Track all frames.
+
+        Parameters
+        ----------
+        progress : callable
+            As of :meth:`run`.
+        grow : bool
+            Insert each frame at once, so that the mosaics can be displayed meanwhile, and note it in :attr:`rows`.
+        threads : int
+            2 to register a frame while the next is sectioned, where mosaics need not grow; the result is the same.
+        """
+        if not self._finished:
+            given = self.calibration
+            self.calibration, self.notes = self._timed()
+            if self.calibration is not given:
+                self._set_out()
+        lead = self.lead
+        with Pipelined(lead, insert=False) if threads == 2 and not grow else nullcontext() as ahead:
+            skip, add = (lead.skip, lead.add if grow else lead.track) if ahead is None else (ahead.skip, ahead.add)
+            for index in progress(range(len(self._pairs))):
+                frame = self._pairs.frame(index)
+                raw, raw_residual = self._pairs(index)
+                skip(self._pairs.lost_before(index))
+                add(raw, frame, nan if self._times_s is None else float(self._times_s[frame]), raw_residual)
+                if grow:
+                    self.rows.append(lead.rows[-1])
+                    self._follow(lead.poses[-1], frame)
+
+    def finish(self, progress: ProgressWrapper = iter) -> None:
+        """Close loops, join segments, and render the mosaics; parameters as of :meth:`run`."""
+        self._shown = self.canvases  # displayed until the re-rendered ones are complete
+        self.lead.finish(self._pairs, progress)
+        self._followers = {mode: self._pipeline(mode) for mode in self._followers}
+        if self._followers:
+            for index in progress(range(len(self._pairs))):
+                self._follow(self.lead.poses[index], self._pairs.frame(index))
+        for follower in self._followers.values():
+            follower.complete()
+        self.rows, self._shown = TrackTable(self.lead.rows), None
+        self.revision += 1
+        self.notes += self._notes_on_track()
+
+    def refine(self) -> None:
+        """Close loops and join segments; mosaics are left as they are."""
+        self.lead.refine(self._pairs)
+
+    def _set_out(self) -> None:
+        self.lead = self._pipeline(self.plan.tracked)
+        others = [mode for mode in self.plan.modes if mode is not self.plan.tracked]
+        self._followers = {mode: self._pipeline(mode) for mode in others}
+
+    def _timed(self) -> tuple[Calibration, list[str]]:
+        """Return the calibration with the timing that raw frames are tracked by, and messages to the user."""
+        calibration, pairs = self.calibration, self._pairs
+        notes = [
+            agreement_note(self._frames, calibration), frame_rate_note(calibration, self._times_s, pairs.frame_numbers)
+        ]  # fmt: skip
+        if tracking_method(self.plan.method).corrects_rolling_shutter:
+            calibration, note = with_timing(calibration, pairs, self.plan.tracked)
+            notes.append(note)
+        return calibration, [note for note in notes if note]
+
+    def _notes_on_track(self) -> list[str]:
+        """Return messages to the user: light that was taken out of the mosaics, and too few tracked frames."""
+        light, notes = self.lead.line_light, []
+        if light is not None and light.uneven:
+            low, high = (100 * float(part) for part in np.percentile(light.relative, (5, 95)))
+            notes.append(f"uneven light along the line, {low:.0f} to {high:.0f} % of its mean, was taken out")
+        if sum(row.state == TrackingState.TRACKED for row in self.lead.rows) < 2:
+            notes.append(UNLINKED)
+        return notes
+
+    def _follow(self, pose: Pose, frame: int) -> None:
+        """Insert a frame into the mosaics of the modes that are not tracked."""
+        if pose.state is not TrackingState.TRACKED:
+            return
+        confocal, residual = elsa_pair(frame)
+        for mode, follower in self._followers.items():
+            if mode is not Mode.ELSA:
+                follower.insert_raw(pose, self._frames[frame])
+            elif frame == confocal and residual < len(self._frames):
+                follower.insert_raw(pose, self._frames[confocal], self._frames[residual])
+
+    def _pipeline(self, mode: Mode) -> Pipeline:
+        if self._finished:
+            return new_finished_pipeline(
+                self._frames, self.calibration, self.plan.method, self.plan.insertion, flat=self._flat
+            )
+        return new_pipeline(self.calibration, self._frame_shape, mode, self.plan.method, self.plan.insertion)
+
+    @cached_property
+    def _frame_shape(self) -> tuple[int, int]:
+        rows, cols = self._frames[0].shape
+        return rows, cols
