@@ -230,7 +230,7 @@ def draw_images(images: dict[str, Image], columns: int) -> Figure:
     for axes in panels[len(images) :]:
         axes.set_axis_off()
     for axes, (name, image) in zip(panels, images.items(), strict=False):
-        axes.imshow(image, cmap="gray", vmin=0, vmax=white_level(image, image != 0), interpolation="nearest")
+        axes.imshow(image, cmap="gray", vmin=0, vmax=white_level(image[image != 0]), interpolation="nearest")
         axes.set_title(name)
         axes.set_axis_off()
     return figure

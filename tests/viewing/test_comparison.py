@@ -50,7 +50,7 @@ def test_white_is_what_the_scaling_says():
     images = {
         mode: rng.random((40, 40)).astype(np.float32) * top for mode, top in zip(Mode, (90, 10, 50, 60), strict=True)
     }
-    own = {mode: white_level(image, inside) for mode, image in images.items()}
+    own = {mode: white_level(image[inside]) for mode, image in images.items()}
     assert white_levels(images, inside, "individual") == own
     assert set(white_levels(images, inside, "shared").values()) == {own[Mode.LS]}
     paper = white_levels(images, inside, "0.01 % saturated")

@@ -107,7 +107,7 @@ def open_engine(
         require_calibration(calibration)
     with live_engine(rig, Settings(preset, slit_rows, frame_rate_hz, gain_db)) as (opened, engine):
         if calibration is None and opened.bench is not None:
-            engine.show(LiveView(modes=frozenset()))  # nobody looks
+            engine.show(None)
             use_simulated_calibration(opened, engine, progress=progress)
             engine.show(LiveView())
         else:

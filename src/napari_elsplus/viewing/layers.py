@@ -228,7 +228,7 @@ def finished_layer(stack: Stack) -> Layer:
 
 def _white(images: LazyPlanes) -> tuple[float, float]:
     first = images[0]
-    return _limits(white_level(first, np.ones(first.shape, np.bool_)))
+    return _limits(white_level(first))
 
 
 def _limits(white: float) -> tuple[float, float]:

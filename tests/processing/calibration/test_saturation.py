@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.saturation import white_level
+from napari_elsplus.processing.analysis.saturation import saturation_level
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.measurements import measure_background, measure_pair
@@ -37,7 +37,7 @@ def test_saturated_frames_are_refused_whatever_the_container(bits: int, shift: i
     """Only the container's largest level counted: 12 bits in 16 never reach it."""
     white = (2**bits - 1) << shift
     bundle = camera(RIG.lit_from_far_end(), 2, peak=1.5 * 2**bits, bits=bits, shift=shift)
-    assert white_level(bundle[0]) == white
+    assert saturation_level(bundle[0]) == white
     with pytest.raises(MeasurementError, match=rf"the image of the bundle is saturated \(grey level {white}\)"):
         measure(bundle=bundle)
     line = camera(RIG.lit_by_line(1.3), 2, peak=8 * 2**bits, bits=bits, shift=shift)
@@ -66,14 +66,14 @@ def test_the_brightest_pixels_of_a_bundle_are_not_saturated_where_they_happen_to
     bright = np.minimum(np.rint(levels * (1.02 * top / levels.max())), top + 1000)
     scaled = np.rint(bright * (top / bright.max())).astype(dtype)
     assert scaled.max() == top
-    assert white_level(scaled) > top
+    assert saturation_level(scaled) > top
     clipped = np.minimum(np.rint(1.5 * levels * (top / levels.max())), top).astype(dtype)
-    assert white_level(clipped) == top
+    assert saturation_level(clipped) == top
 
 
 @pytest.mark.parametrize("frame", [np.zeros((9, 9)), np.full((9, 9), np.nan), np.zeros((0, 4)), np.ones((9, 9), bool)])
 def test_frames_of_anything_have_a_level_of_white(frame: np.ndarray) -> None:
-    assert white_level(frame) == np.inf
+    assert saturation_level(frame) == np.inf
 
 
 def sweep(peak: float, volts: np.ndarray, **spread: float) -> np.ndarray:

@@ -42,7 +42,9 @@ class Display:
         self.sink: DisplaySink | None = None
         self.where: tuple[str, Layout] | None = None
 
-    def renew(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> DisplaySink:
+    def renew(
+        self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView | None
+    ) -> DisplaySink:
         """Make the images of a frame shape by a calibration and a view from now on.
 
         Raises

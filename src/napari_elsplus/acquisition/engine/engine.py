@@ -140,8 +140,14 @@ class Engine(ClosedOnExit):
                 self._activate(before, restoring=True)
                 raise
 
-    def show(self, view: LiveView) -> None:
-        """Choose how live images are made for a view; one that lacks its calibration raises a CalibrationError."""
+    def show(self, view: LiveView | None) -> None:
+        """Choose how live images are made for a view, None where nobody looks at them.
+
+        Raises
+        ------
+        CalibrationError
+            If the calibration lacks what the view needs.
+        """
         with self._lock:
             self._imaging.show(view)
 

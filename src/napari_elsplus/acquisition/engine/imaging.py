@@ -53,7 +53,7 @@ class Imaging:
         self.display = Display(make_ring)
         self.calibration: Calibration | None = None
         self.misfit: CalibrationError | None = None
-        self._view = LiveView()
+        self._view: LiveView | None = LiveView()
         self._publish = publish
 
     def configure(self, settings: Settings) -> None:
@@ -85,8 +85,8 @@ class Imaging:
         self.calibration = calibration
         self._renew(raw_if_misfit=restoring)
 
-    def show(self, view: LiveView) -> None:
-        """Make images for a view.
+    def show(self, view: LiveView | None) -> None:
+        """Make images for a view; None where nobody looks at them.
 
         Raises
         ------

@@ -54,7 +54,7 @@ class LiveView:
     average : int
         Recursive averaging: the weight of a frame is one over this; 1 displays single frames.
     modes : frozenset of Mode
-        Image types that are made; none where nobody looks at them.
+        Image types that are made.
     row_reference : bool
         Take the camera's row noise off frames whose dark pixels show it, as recordings are processed.
 
@@ -119,8 +119,8 @@ class LiveImages:
         Rows and columns of the raw frames.
     calibration : Calibration, optional
         Without its bundle section only raw frames are displayed.
-    view : LiveView
-        Options of the images.
+    view : LiveView or None
+        Options of the images; None where nobody looks at them, which makes raw frames only.
 
     Raises
     ------
@@ -134,7 +134,8 @@ class LiveImages:
     is missing, the last ELSA image stands.
     """
 
-    def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView) -> None:
+    def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView | None) -> None:
+        view = LiveView(modes=frozenset()) if view is None else view
         self._sectioner: Sectioner | None = None
         self._averages = view.average > 1
         self._modes: frozenset[Mode] = frozenset()

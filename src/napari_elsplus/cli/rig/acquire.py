@@ -75,7 +75,6 @@ def command(
     from napari_elsplus.io import beside, read_calibration, refuse_suffix, write_json
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.io.recorder import RECORDING_SUFFIXES
-    from napari_elsplus.processing.images.modes import Mode
 
     beside_record = () if record is None else [beside(record, f".calibration{ending}") for ending in (".json", ".npz")]
     read, suffixes = calibration_files(calibration), {track: ".csv", report: ".json"}
@@ -91,18 +90,17 @@ def command(
         if given is not None:
             engine.use(given)
         else:
-            engine.show(LiveView(modes=frozenset()))  # nobody looks
+            engine.show(None)
             use_simulated_calibration(rig, engine, progress=calibration_progress)
         assert engine.calibration is not None
-        tracker, modes = None, frozenset(Mode)
+        tracker = None
         if mosaic is not None or track is not None:
             from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 
             tracker = LiveTrack(engine.calibration, engine.setup.frame_shape)
             held.callback(tracker.close)
             engine.track(tracker)
-            modes = frozenset()  # nobody looks at other images than the mosaic
-        engine.show(LiveView(modes=modes))
+        engine.show(LiveView() if tracker is None else None)  # else nobody looks at other images than the mosaic
         gc.freeze()  # also what the calibration and the track have allocated
         engine.start()
         if record is not None:

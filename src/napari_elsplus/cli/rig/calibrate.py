@@ -156,7 +156,6 @@ def _live(rig_name: str, settings: Settings, bundle_um: float | None) -> tuple[D
     """Calibrate on a rig, its user placing each target; the line is parked on every way out."""
     from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, calibrate_rig, engine_setup
     from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
-    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.hardware.priority import keep_pace
 
@@ -165,7 +164,7 @@ def _live(rig_name: str, settings: Settings, bundle_um: float | None) -> tuple[D
 
     keep_pace()
     with live_engine(rig_name, settings) as (rig, engine):
-        engine.show(LiveView(modes=frozenset()))  # nobody looks
+        engine.show(None)
         more: dict[str, Any] = {"progress": calibration_progress, "voltages": SWEEP_VOLTAGES}
         if bundle_um is not None:
             more["bundle_um"] = bundle_um

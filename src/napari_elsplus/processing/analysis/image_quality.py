@@ -25,29 +25,27 @@ USED_DIAMETER: Final = 0.9
 """Diameter of the disc that measures are taken in, fraction of the bundle's diameter (the paper's circular crop)."""
 
 
-def white_level(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> float:
-    """Return the grey level shown as white, which one pixel in ten thousand exceeds.
+def white_level(pixels: NDArray[np.floating], saturated: float = SATURATED_FRACTION) -> float:
+    """Return the grey level displayed as white, which a small fraction of the pixels exceeds.
 
     Parameters
     ----------
-    image : numpy.ndarray
-        (n, n).
-    inside : numpy.ndarray
-        (n, n) bool, the pixels that are counted.
+    pixels : numpy.ndarray
+        Grey levels of the pixels that are counted, any shape.
+    saturated : float
+        That fraction.
 
     Returns
     -------
     float
-        At least the smallest positive float32, so that it is a valid divisor.
+        At least 1e-6, so that it is a valid divisor; 1 of no pixels.
 
     Examples
     --------
-    >>> ramp = np.arange(10_000.0).reshape(100, 100)
-    >>> round(white_level(ramp, np.ones_like(ramp, bool)))
-    9998
+    >>> round(white_level(np.arange(10_000.0))), white_level(np.arange(2001.0), 1e-3), white_level(np.zeros(0))
+    (9998, 1998.0, 1.0)
     """
-    level = float(np.quantile(image[inside], 1 - SATURATED_FRACTION))
-    return max(level, float(np.finfo(np.float32).tiny))
+    return max(float(np.quantile(pixels, 1 - saturated)), 1e-6) if pixels.size else 1.0
 
 
 class Scaling(Choice):
@@ -80,7 +78,7 @@ def white_levels(
     dict
         Mode to grey level.
     """
-    own = {mode: white_level(image, inside) for mode, image in images.items()}
+    own = {mode: white_level(image[inside]) for mode, image in images.items()}
     match Scaling(scaling):
         case Scaling.INDIVIDUAL:
             return own

@@ -43,10 +43,10 @@ def saturated_part(frame: NDArray[Any]) -> float:
     >>> saturated_part(np.array([[255, 255], [254, 3]], np.uint8))
     0.5
     """
-    return float(np.count_nonzero(frame == white_level(frame)) / frame.size)
+    return float(np.count_nonzero(frame == saturation_level(frame)) / frame.size)
 
 
-def white_level(frame: NDArray[Any]) -> float:
+def saturation_level(frame: NDArray[Any]) -> float:
     """Return the grey level at which a frame is saturated: of the camera's bits where pixels pile up, or of the dtype.
 
     Parameters
@@ -62,7 +62,7 @@ def white_level(frame: NDArray[Any]) -> float:
     Examples
     --------
     >>> ramp = np.arange(6000, dtype=np.uint16).reshape(60, 100)
-    >>> white_level(ramp), white_level(np.minimum(ramp, 4095))
+    >>> saturation_level(ramp), saturation_level(np.minimum(ramp, 4095))
     (65535.0, 4095.0)
     """
     largest = largest_level(frame)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.saturation import largest_level, white_level
+from napari_elsplus.processing.analysis.saturation import largest_level, saturation_level
 from napari_elsplus.processing.calibration.bundle.location import middle_of_longest_run
 from napari_elsplus.processing.calibration.bundle.pair import MAX_SATURATED
 from napari_elsplus.processing.images.row_reference import dark_columns, dark_pixels
@@ -157,7 +157,7 @@ def saturated_share(frames: Frames, name: str, limit: float = MAX_SATURATED) -> 
     MeasurementError
         If it exceeds the limit.
     """
-    whites = ((frame, white_level(frame)) for frame in sampled(frames))
+    whites = ((frame, saturation_level(frame)) for frame in sampled(frames))
     share, white = max((np.count_nonzero(frame == white) / frame.size, white) for frame, white in whites)
     if share > limit:
         raise MeasurementError(

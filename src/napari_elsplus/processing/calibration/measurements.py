@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.saturation import white_level
+from napari_elsplus.processing.analysis.saturation import saturation_level
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.calibration.bundle import location as bundles
 from napari_elsplus.processing.calibration.bundle.gain import darkness
@@ -195,7 +195,10 @@ def map_galvo(
     if len(volts) != len(frames):
         raise InputError(f"{len(volts)} voltages for {len(frames)} frames of the sweep", "give one voltage per frame")
     seen = brightest(frames)
-    white, painted = white_level(seen), np.subtract(seen, 0 if background is None else background, dtype=np.float32)
+    white, painted = (
+        saturation_level(seen),
+        np.subtract(seen, 0 if background is None else background, dtype=np.float32),
+    )
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=[] if pair is None else pair.discs)
     reference, place = RowReference(dark, background), pair or offset
@@ -242,7 +245,7 @@ def measure_pair(frames: Frames) -> BundlePair:
             "give frames of the bundle lit from its far end",
         )
     confocal, residual = bundles.locate_pair(frame)
-    whites = [(each, white_level(each)) for each in sampled(frames)]
+    whites = [(each, saturation_level(each)) for each in sampled(frames)]
     often = np.mean([each >= white for each, white in whites], axis=0) >= SATURATED_FRAMES
     saturated = often | (frame >= SATURATION_LEVEL * min(white for _, white in whites))
     alignment = align_views(frame, confocal, residual, saturated)

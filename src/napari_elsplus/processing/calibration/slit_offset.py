@@ -12,7 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.line_parts import LineParts, measure_line_parts
-from napari_elsplus.processing.analysis.saturation import white_level
+from napari_elsplus.processing.analysis.saturation import saturation_level
 from napari_elsplus.processing.analysis.uncertainty import newey_west_sigma
 from napari_elsplus.processing.calibration.frame_regions import (
     column_between_views,
@@ -137,7 +137,7 @@ def measure_offset(
                     "is the background that of a dark tube?",
                 ) from None
             raise MeasurementError(f"{name} view: {error.problem}", error.remedy) from None
-    clipped = max(clipped_share(each, white_level(each), lines[0]) for each in sampled(frames))
+    clipped = max(clipped_share(each, saturation_level(each), lines[0]) for each in sampled(frames))
     found = replace(_of_lines(lines[0], lines[1], split, pair), clipped=clipped)
     if alone:
         return found

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, refuse_existing, write_mosaic, write_track
 from napari_elsplus.io.formats.registry import recording_stem
+from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.mosaicing.sheet import Sheet
-from napari_elsplus.viewing.mosaic.growing import display_white_level
+from napari_elsplus.viewing.mosaic.growing import SATURATED_FRACTION
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
@@ -72,7 +73,7 @@ def save_mosaics(
         known = {**settings, "first_frames_px": places}
         metadata = ImageMetadata(um_per_px=um_per_px, settings=known, calibration=calibration)
         write_mosaic(path.with_name(f"{one}.ome.tif"), image, metadata, force=force)
-        white = display_white_level(image[weight > 0])
+        white = white_level(image[weight > 0], SATURATED_FRACTION)
         save_figure(draw_mosaic(image, um_per_px, white), path.with_name(f"{one}.png"), force=force)
     write_track(table, mosaics.rows, force=force)
     return [*targets, table]

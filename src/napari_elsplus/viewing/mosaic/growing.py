@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.mosaicing.pyramid import Pyramid
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.processing.mosaicing.tiles import Canvas, Rectangle
@@ -22,8 +23,8 @@ FRAME_STEP_PX: Final = 2 << (LEVELS - 1)
 """Multiple to which the image's edges are rounded, pixels: two pixels of the last level."""
 COARSEST_PX: Final = 512
 """Largest side of the last displayed level, pixels; chosen, one tile of a screen."""
-_WHITE_SHARE: Final = 1e-3
-"""Share of pixels displayed as white; chosen, so that single bright cores do not set the contrast."""
+SATURATED_FRACTION: Final = 1e-3
+"""Fraction of a mosaic's pixels displayed as white; chosen, so that single bright cores do not set the contrast."""
 
 
 class Change(NamedTuple):
@@ -106,7 +107,7 @@ class GrowingImage:
     @property
     def white_level(self) -> float:
         """Grey level displayed as white."""
-        return display_white_level(self._coarsest[np.isfinite(self._coarsest)])
+        return white_level(self._coarsest[np.isfinite(self._coarsest)], SATURATED_FRACTION)
 
     @property
     def covered_px(self) -> float:
@@ -119,17 +120,6 @@ class GrowingImage:
         part = dirty.intersection(whole)
         if 0 not in part.shape:
             self._coarsest[part.slices(whole)] = _read(self._pyramid, level, part)
-
-
-def display_white_level(drawn: NDArray[np.float32]) -> float:
-    """Return the grey level that one in a thousand drawn pixels exceeds; 1 if there are none.
-
-    Examples
-    --------
-    >>> display_white_level(np.arange(2001, dtype=np.float32)), display_white_level(np.zeros(0, np.float32))
-    (1998.0, 1.0)
-    """
-    return max(float(np.quantile(drawn, 1 - _WHITE_SHARE)), 1e-6) if drawn.size else 1.0
 
 
 class LevelView:

@@ -149,7 +149,7 @@ class ComparePanel(AnalysisPanel):
         index, inside = self._index(), self._comparison.inside
         if self.view.value == DIFFERENCE:
             for layer in self.display.images:
-                white = _round_up(white_level(np.abs(np.asarray(layer.data[index])), inside))
+                white = _round_up(white_level(np.abs(np.asarray(layer.data[index]))[inside]))
                 layer.contrast_limits = (-white, white)
             return
         levels = white_levels(self._comparison.at(index), inside, self.scaling.value)

@@ -210,7 +210,7 @@ class LiveLayers:
             layer.contrast_limits = (0, largest_level(layer.data))
             return
         image = np.asarray(layer.data)
-        white = white_level(image, np.ones(image.shape, bool))
+        white = white_level(image)
         layer.contrast_limits = (0.0, max(float(white), 1.0))
         self._dark.pop(kind, None)
         if white < MIN_LIT:

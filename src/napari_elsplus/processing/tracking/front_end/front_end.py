@@ -16,7 +16,7 @@ import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
-from napari_elsplus.processing.analysis.saturation import white_level
+from napari_elsplus.processing.analysis.saturation import saturation_level
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
@@ -169,7 +169,7 @@ class FrontEnd:
             (rows, cols) raw frame.
         """
         part = _readable(raw)[self._middle]
-        level, saturated, even = survey(part, white_level(part))
+        level, saturated, even = survey(part, saturation_level(part))
         return bool(saturated > MAX_SATURATED or even or level < self._dark_level)
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
