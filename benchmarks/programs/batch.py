@@ -34,7 +34,7 @@ from benchmarks.programs.batch_share import plain_job
 from benchmarks.programs.start import COMMAND_LINE
 from napari_elsplus.cli import main
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
-from napari_elsplus.io import ImageMetadata, write_calibration, write_stack
+from napari_elsplus.io import ImageMetadata, write_calibration, write_images
 from napari_elsplus.io.atomic import replacing
 from napari_elsplus.workflows.batch.job import RECORDS, open_output
 from napari_elsplus.workflows.simulated import simulate_recording
@@ -90,7 +90,7 @@ def simulate(folder: Path, recordings: int, frames: int) -> list[Path]:
         for place, number in enumerate(numbers):
             paths.append(folder / f"recording-{number:02d}.tif")
             cut = [simulated[place * frames + k] for k in range(frames)]
-            write_stack(paths[-1], cut, ImageMetadata(calibration=calibration))
+            write_images(paths[-1], cut, ImageMetadata(calibration=calibration))
             write_calibration(paths[-1].with_suffix(".calibration.json"), calibration)
     return paths
 

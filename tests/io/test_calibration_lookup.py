@@ -15,7 +15,7 @@ from napari_elsplus.io import (
     open_recording,
     settings,
     write_calibration,
-    write_stack,
+    write_images,
 )
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from pairs import calibration
@@ -33,7 +33,7 @@ def test_beside_comes_before_inside_and_that_before_the_active(tmp_path):
     (tmp_path / "rig").mkdir()
     active = write_calibration(tmp_path / "rig" / "c.json", with_tilt(3.0))
     own, bare = tmp_path / "own.tif", tmp_path / "bare.npy"
-    write_stack(own, [np.zeros((4, 6), np.uint8)], ImageMetadata(calibration=with_tilt(2.0)))
+    write_images(own, [np.zeros((4, 6), np.uint8)], ImageMetadata(calibration=with_tilt(2.0)))
     np.save(bare, np.zeros((2, 4, 6), np.uint8))
     with open_recording(bare) as recording:
         assert recording.calibration is None

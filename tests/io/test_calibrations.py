@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import ImageMetadata, open_recording, read_calibration, write_calibration, write_stack
+from napari_elsplus.io import ImageMetadata, open_recording, read_calibration, write_calibration, write_images
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -104,7 +104,7 @@ def test_arrays_that_were_saved_with_the_record_and_are_absent_are_a_warning(tmp
 def test_what_is_read_without_its_file_of_arrays_lists_none(tmp_path):
     """Neither a record in a recording, nor one that never had arrays; and a list that is none is passed over."""
     known = Calibration.parse(FULL).model_copy(update=ARRAYS)
-    write_stack(tmp_path / "r.tif", [np.zeros((20, 40), np.uint8)], ImageMetadata(calibration=known))
+    write_images(tmp_path / "r.tif", [np.zeros((20, 40), np.uint8)], ImageMetadata(calibration=known))
     with open_recording(tmp_path / "r.tif") as recording:
         assert recording.calibration.content() == FULL
     for listed in ([], ["unknown", 3], 7, None, {"flat": 1}):

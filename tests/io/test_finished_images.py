@@ -53,6 +53,7 @@ def test_images_that_the_file_has_no_place_for_are_refused(tmp_path: Path, suffi
 def test_an_interrupted_zarr_leaves_nothing(tmp_path: Path, write: Callable[..., object], after_s: float) -> None:
     """Before: chunks that were still being written stayed, or kept the folder from being removed."""
     image = np.random.default_rng(1).random((2500, 2500)).astype(np.float32)
+    written = repeat(image, 10_000) if write is write_images else np.tile(image, (3, 3))
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -61,7 +62,7 @@ def test_an_interrupted_zarr_leaves_nothing(tmp_path: Path, write: Callable[...,
     signal.setitimer(signal.ITIMER_REAL, after_s)
     try:
         with pytest.raises(KeyboardInterrupt):
-            write(tmp_path / "a.ome.zarr", repeat(image) if write is write_images else np.tile(image, (3, 3)), METADATA)
+            write(tmp_path / "a.ome.zarr", written, METADATA)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)

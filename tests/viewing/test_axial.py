@@ -11,7 +11,7 @@ import pytest
 from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import open_recording, write_calibration, write_column, write_stack
+from napari_elsplus.io import open_recording, write_calibration, write_column, write_images
 from napari_elsplus.processing.axial.axial_response import axial_response
 from napari_elsplus.viewing.axial import (
     ManualScan,
@@ -86,7 +86,7 @@ def test_a_simulated_scan_has_the_offset_that_was_asked_for():
 
 
 def test_the_script_runs_and_says_the_same(tmp_path):
-    write_stack(tmp_path / "scan.tif", frames())
+    write_images(tmp_path / "scan.tif", frames())
     write_column(tmp_path / "scan.depths.csv", "depth_um", DEPTH_UM)
     beside = write_calibration(tmp_path / "scan.calibration.json", calibration())
     with open_recording(tmp_path / "scan.tif") as recording:
@@ -102,7 +102,7 @@ def test_the_script_runs_and_says_the_same(tmp_path):
 
 
 def test_depths_that_do_not_fit_the_frames_are_refused(tmp_path):
-    write_stack(tmp_path / "scan.tif", frames())
+    write_images(tmp_path / "scan.tif", frames())
     write_column(tmp_path / "scan.depths.csv", "depth_um", DEPTH_UM[:-1])
     with open_recording(tmp_path / "scan.tif") as recording, pytest.raises(InputError, match="8 depths"):
         Stack.of(recording)

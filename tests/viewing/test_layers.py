@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_mosaic, write_stack
+from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_images, write_mosaic
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers, summary
 from napari_elsplus.viewing.stack import Stack
@@ -95,7 +95,7 @@ def test_a_calibration_that_does_not_do_leaves_the_raw_layer_and_a_note(tmp_path
 
 def test_finished_images_are_not_taken_for_raw_frames(tmp_path):
     els = section(frames(), calibration(), "els")[:]
-    write_stack(tmp_path / "out.tif", els, ImageMetadata(calibration=calibration(), settings={"mode": "els"}))
+    write_images(tmp_path / "out.tif", els, ImageMetadata(calibration=calibration(), settings={"mode": "els"}))
     ((data, attributes, _),) = open_layers(tmp_path / "out.tif").layers
     np.testing.assert_array_equal(data, els)
     assert attributes["name"] == "out ELS+"

@@ -1,9 +1,9 @@
 """Files: recordings, calibrations, tracks and tables; every output is written beside its target, then renamed.
 
 :func:`open_recording` returns a :class:`Recording` of any registered format; :class:`RecordingWriter` writes one while
-the camera runs; :func:`write_images` and :func:`write_mosaic` write finished images by their file's suffix,
-:func:`write_stack` an OME-TIFF. Names are imported when they are first used, so that `io.settings` and
-`io.user_folders` load neither numpy nor a decoder.
+the camera runs; :func:`write_images` and :func:`write_mosaic` write finished images by their file's suffix.
+Names are imported when they are first used, so that `io.settings` and `io.user_folders` load neither numpy nor a
+decoder.
 """
 
 from importlib import import_module
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from napari_elsplus.io.finished_images import fill_images as fill_images
     from napari_elsplus.io.finished_images import write_images as write_images
     from napari_elsplus.io.finished_images import write_mosaic as write_mosaic
-    from napari_elsplus.io.formats.ome_tiff import write_stack as write_stack
     from napari_elsplus.io.formats.registry import FileFormat as FileFormat
     from napari_elsplus.io.formats.registry import ImageMetadata as ImageMetadata
     from napari_elsplus.io.formats.registry import register_format as register_format
@@ -48,7 +47,6 @@ _MODULES = {
     "calibration_lookup": ("beside", "calibration_beside", "existing_beside"),
     "calibrations": ("read_calibration", "write_calibration"),
     "finished_images": ("allocate_images", "fill_images", "write_images", "write_mosaic"),
-    "formats.ome_tiff": ("write_stack",),
     "formats.registry": ("FileFormat", "ImageMetadata", "register_format"),
     "formats.source": ("FrameSource",),
     "recorder": ("RecordingWriter",),

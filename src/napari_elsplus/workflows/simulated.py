@@ -21,7 +21,6 @@ from napari_elsplus.io import (
     write_column,
     write_images,
     write_json,
-    write_stack,
 )
 from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.registry import format_to_write
@@ -88,7 +87,8 @@ class SimulatedRecording(RenderedFrames):
         for target in (output, record, record.with_suffix(".npz"), facts, *([depths] if scanned else [])):
             refuse_existing(target, force=force)
         frames = (self[index] for index in progress(range(self.count), "depths" if scanned else "frames"))
-        write_images(output, frames, ImageMetadata(calibration=self.calibration, depth_scan=scanned), force=force)
+        metadata = ImageMetadata(calibration=self.calibration, depth_scan=scanned)
+        write_images(output, frames, metadata, count=self.count, force=force)
         write_calibration(record, self.calibration, force=force)
         write_json(facts, self.truth, allow_nan=False, force=force)
         if self.depth_um is not None:
@@ -252,7 +252,8 @@ class SimulatedCalibrationFrames:
                 refuse_existing(folder / name, force=force)
             for part, frames in parts.items():
                 shown = (frames[index] for index in progress(range(len(frames)), part))
-                write_stack(folder / f"{part}.tif", shown, ImageMetadata(um_per_px=self.um_per_px), force=force)
+                metadata = ImageMetadata(um_per_px=self.um_per_px)
+                write_images(folder / f"{part}.tif", shown, metadata, count=len(frames), force=force)
             write_column(folder / "sweep_volts.csv", "volts", self.volts, force=force)
             write_json(folder / "truth.json", self.truth, allow_nan=False, force=force)
 

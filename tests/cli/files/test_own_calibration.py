@@ -79,7 +79,7 @@ def test_raw_frames_are_refused_as_finished_images(elsplus: Cli, raw: Path, tmp_
     with elsplus_module.open_recording(raw) as recording:
         assert recording.holds_raw_frames
         layer = ImageMetadata(settings={"mode": "raw"}, calibration=recording.calibration)
-        write_images(tmp_path / "raw-layer.ome.tif", iter(recording), layer)
+        write_images(tmp_path / "raw-layer.ome.tif", recording, layer)
         elsplus_module.section(recording, recording.calibration).save(tmp_path / "els.ome.tif")
     with elsplus_module.open_recording(tmp_path / "raw-layer.ome.tif") as saved:
         assert saved.holds_raw_frames, "as napari saves the layer"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import open_recording
-from napari_elsplus.io.formats.registry import ImageMetadata, format_to_write
+from napari_elsplus.io import ImageMetadata, open_recording, write_images
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +23,5 @@ def test_a_missing_decoder_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
     (tmp_path / "a.zarr" / "zarr.json").write_text("{}")
     with pytest.raises(InputError, match=r"^OME-Zarr images need the extra `zarr`"):
         open_recording(tmp_path / "a.zarr")
-    writer = format_to_write(tmp_path / "b.zarr").writer
-    assert writer is not None
     with pytest.raises(InputError, match="extra `zarr`"):
-        writer(tmp_path / "b.zarr", [np.zeros((4, 4), np.uint8)], ImageMetadata())
+        write_images(tmp_path / "b.zarr", [np.zeros((4, 4), np.uint8)], ImageMetadata())

@@ -8,14 +8,14 @@ import tifffile
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import ImageMetadata, open_recording, write_mosaic, write_stack
+from napari_elsplus.io import ImageMetadata, open_recording, write_images, write_mosaic
 
 IMAGES = np.random.default_rng(3).normal(size=(6, 33, 33)).astype(np.float32)
 CALIBRATION = Calibration.parse({"optics": {"um_per_px": 0.96, "line_period_s": 1e-5, "rows_per_frame": 500.0}})
 
 
 def test_signed_floats_come_back_exactly(tmp_path):
-    assert write_stack(tmp_path / "els.tif", iter(IMAGES), ImageMetadata(um_per_px=0.96)) == 6
+    assert write_images(tmp_path / "els.tif", iter(IMAGES), ImageMetadata(um_per_px=0.96)) == 6
     read = tifffile.imread(tmp_path / "els.tif")
     assert read.dtype == np.float32
     np.testing.assert_array_equal(read, IMAGES)
@@ -24,12 +24,12 @@ def test_signed_floats_come_back_exactly(tmp_path):
 
 @pytest.mark.parametrize("images", [IMAGES[:1], iter(IMAGES[:1]), [IMAGES[0]]])
 def test_one_image_comes_back_too(tmp_path, images):
-    write_stack(tmp_path / "els.tif", images)
+    write_images(tmp_path / "els.tif", images)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "els.tif").squeeze(), IMAGES[0])
 
 
 def test_scale_interval_calibration_and_notes_are_kept(tmp_path):
-    write_stack(tmp_path / "els.tif", IMAGES, ImageMetadata(calibration=CALIBRATION, settings={"mode": "els"}))
+    write_images(tmp_path / "els.tif", IMAGES, ImageMetadata(calibration=CALIBRATION, settings={"mode": "els"}))
     with open_recording(tmp_path / "els.tif") as recording:
         assert recording.metadata["um_per_px"] == 0.96
         assert recording.metadata["frame_period_s"] == pytest.approx(5e-3)
@@ -56,7 +56,7 @@ def test_only_one_image_is_held_at_a_time(tmp_path):
             assert alive <= 6
             yield np.full((20, 20), k, np.float32).view(Counted)
 
-    assert write_stack(tmp_path / "a.tif", images()) == 50
+    assert write_images(tmp_path / "a.tif", images(), count=50) == 50
     assert tifffile.imread(tmp_path / "a.tif")[:, 3, 3].tolist() == list(range(50))
 
 
@@ -70,7 +70,7 @@ def test_only_one_image_is_held_at_a_time(tmp_path):
 )
 def test_what_is_no_stack_is_refused_and_nothing_is_left(tmp_path, images, said):
     with pytest.raises(InputError, match=said):
-        write_stack(tmp_path / "a.tif", images)
+        write_images(tmp_path / "a.tif", images)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -82,8 +82,8 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path):
         yield
 
     with pytest.raises(InputError, match="--force"):
-        write_stack(tmp_path / "a.tif", images())
-    write_stack(tmp_path / "a.tif", IMAGES, force=True)
+        write_images(tmp_path / "a.tif", images())
+    write_images(tmp_path / "a.tif", IMAGES, force=True)
     assert tifffile.imread(tmp_path / "a.tif").shape == IMAGES.shape
 
 

@@ -39,7 +39,7 @@ def test_the_manifest_reads_and_writes_the_registered_suffixes(manifest):
     assert {pattern.removeprefix("*") for pattern in reader["filename_patterns"]} == suffixes
     assert reader["accepts_directories"] == any(one.is_folder for one in readable)
     declared = {tuple(writer["filename_extensions"]) for writer in manifest["writers"]}
-    assert declared == {one.written_suffixes for one in registry.file_formats() if one.writer}
+    assert declared == {one.written_suffixes for one in registry.file_formats() if one.written_suffixes}
 
 
 def suffixes():

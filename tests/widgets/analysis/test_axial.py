@@ -9,7 +9,7 @@ import pytest
 from napari.layers import Image
 
 from depth_scan import DEPTH_UM, calibration, frames
-from napari_elsplus.io import write_calibration, write_column, write_stack
+from napari_elsplus.io import write_calibration, write_column, write_images
 from napari_elsplus.processing.axial.axial_response import axial_response
 from napari_elsplus.viewing import axial as viewing_axial
 from napari_elsplus.viewing.axial import Scan
@@ -26,7 +26,7 @@ def panel(viewer):
 
 @pytest.fixture
 def scan_file(tmp_path):
-    write_stack(tmp_path / "scan.tif", frames())
+    write_images(tmp_path / "scan.tif", frames())
     write_column(tmp_path / "scan.depths.csv", "depth_um", DEPTH_UM)
     write_calibration(tmp_path / "scan.calibration.json", calibration())
     return tmp_path / "scan.tif"

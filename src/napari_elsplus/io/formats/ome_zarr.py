@@ -5,27 +5,24 @@ from __future__ import annotations
 import json
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.atomic import refuse_suffix, replacing
 from napari_elsplus.io.formats.extras import extra_needed
-from napari_elsplus.io.formats.ome_tiff import TILE_PX, contiguous_images, pyramid, require_alike
+from napari_elsplus.io.formats.ome_tiff import TILE_PX, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, ordered_times_s, positive
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
-    from numpy.typing import DTypeLike, NDArray
+    from numpy.typing import NDArray
 
-    from napari_elsplus.io.formats.registry import ImageMetadata
+    from napari_elsplus.io.formats.registry import ImageMetadata, Images
 
 NOTES: Final = "napari-elsplus"
 """Attribute of the group that keeps settings, software, calibration and times."""
@@ -103,14 +100,8 @@ def _scales(axes: Sequence[Mapping[str, Any]], scale: Sequence[float]) -> dict[s
     return metadata
 
 
-def write_ome_zarr(
-    path: str | os.PathLike[str],
-    images: Iterable[NDArray[Any]],
-    metadata: ImageMetadata,
-    *,
-    force: bool = False,
-) -> int:
-    """Write images to an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.write_images`.
+def allocate_ome_zarr(path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata) -> None:
+    """Create an OME-Zarr folder of zeros; parameters as of :func:`napari_elsplus.io.allocate_images`.
 
     A plane is a chunk. Pixel size and frame interval become the scale; settings and calibration, attributes.
 
@@ -118,53 +109,31 @@ def write_ome_zarr(
     ----------
     https://ngff.openmicroscopy.org/0.5/
     """
-    planes = contiguous_images(images)
-    with _new_group(path, metadata, force=force) as (group, finishing):
-        first = next(planes)
-        array = finishing(_new_array, group, path, (0, *first.shape), first.dtype, metadata)
-        for image in chain([first], planes):
-            finishing(_append, array, image)
-    return int(array.shape[0])
+    with _new_group(path, metadata) as (group, finishing):
+        finishing(_new_array, group, shape, dtype, metadata)
 
 
-def allocate_ome_zarr(
-    path: str | os.PathLike[str],
-    shape: tuple[int, int, int],
-    dtype: DTypeLike,
-    metadata: ImageMetadata,
-) -> None:
-    """Create an OME-Zarr folder of zeros; parameters and errors as of :func:`napari_elsplus.io.allocate_images`."""
-    with _new_group(path, metadata, force=False) as (group, finishing):
-        finishing(_new_array, group, path, shape, np.dtype(dtype), metadata)
-
-
-def fill_ome_zarr(path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
+def fill_ome_zarr(path: Path, first: int, images: Images) -> int:
     """Write images into an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.fill_images`."""
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
 
     array: Any = zarr.open_group(path, mode="r+")["0"]
     written = 0
-    for image in contiguous_images(images):
-        require_alike(image, path, array.shape[1:], array.dtype)
-        array[first + written] = image
-        written += 1
+    with _finishing() as finishing:
+        for image in images:
+            require_alike(image, path, array.shape[1:], array.dtype)
+            finishing(array.__setitem__, first + written, image)
+            written += 1
     return written
 
 
-def write_ome_zarr_pyramid(
-    path: str | os.PathLike[str],
-    image: NDArray[Any],
-    metadata: ImageMetadata,
-    *,
-    force: bool = False,
-) -> Path:
-    """Write a mosaic to an OME-Zarr folder; parameters and errors as of :func:`napari_elsplus.io.write_mosaic`."""
+def write_ome_zarr_pyramid(path: Path, image: NDArray[Any], metadata: ImageMetadata) -> None:
+    """Write a mosaic to an OME-Zarr folder; parameters as of :func:`napari_elsplus.io.write_mosaic`."""
     um_per_px = metadata.um_per_px
-    (whole,) = contiguous_images([image])
-    with _new_group(path, metadata, force=force) as (group, finishing):
+    with _new_group(path, metadata) as (group, finishing):
         datasets = []
-        for index, level in enumerate(pyramid(whole)):
+        for index, level in enumerate(pyramid(image)):
             chunks = tuple(min(side, tile) for side, tile in zip(level.shape, TILE_PX, strict=True))
             array = finishing(group.create_array, str(index), shape=level.shape, chunks=chunks, dtype=level.dtype)
             finishing(array.__setitem__, slice(None), level)
@@ -172,59 +141,46 @@ def write_ome_zarr_pyramid(
             scaled = {"type": "scale", "scale": [size] * 2}
             shifted = {"type": "translation", "translation": [shift_px * (um_per_px or 1.0)] * 2}
             datasets.append({"path": str(index), "coordinateTransformations": [scaled, shifted][: 1 + bool(index)]})
-        finishing(_describe, group, path, _space(um_per_px), datasets)
-    return Path(path)
+        finishing(_describe, group, metadata, _space(um_per_px), datasets)
 
 
 @contextmanager
-def _new_group(
-    path: str | os.PathLike[str], metadata: ImageMetadata, *, force: bool
-) -> Iterator[tuple[Any, Callable[..., Any]]]:
-    """Yield a group, renamed to its path at the end, with its settings, software and calibration.
-
-    Also yields the function that calls others which write into it, in a thread that finishes them where their caller is
-    interrupted: zarr itself goes on writing then, into a folder that is being removed.
-    """
+def _new_group(path: Path, metadata: ImageMetadata) -> Iterator[tuple[Any, Callable[..., Any]]]:
+    """Yield a new group with its settings, software and calibration, and the function by which to write into it."""
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
 
-    target = Path(path)
-    refuse_suffix(target, ".zarr")
     kept: dict[str, Any] = {} if metadata.calibration is None else {"calibration": metadata.calibration.content()}
     if metadata.times_s is not None:
         kept[TIMES] = list(metadata.times_s)
-    with replacing(target, force=force) as beside, ThreadPoolExecutor(1, "zarr") as thread:
-
-        def finishing(write: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-            return thread.submit(write, *arguments, **options).result()
-
-        group = finishing(zarr.open_group, beside, mode="w", zarr_format=3)
+    with _finishing() as finishing:
+        group = finishing(zarr.open_group, path, mode="w", zarr_format=3)
         yield group, finishing
         finishing(group.attrs.__setitem__, NOTES, {"software": SOFTWARE, **metadata.settings, **kept})
 
 
-def _append(array: Any, image: NDArray[Any]) -> None:
-    count = array.shape[0]
-    array.resize((count + 1, *image.shape))
-    array[count] = image
+@contextmanager
+def _finishing() -> Iterator[Callable[..., Any]]:
+    """Yield a function that calls others, in a thread that finishes them where their caller is interrupted.
+
+    zarr itself goes on writing then, into a folder that is being removed.
+    """
+    with ThreadPoolExecutor(1, "zarr") as thread:
+        yield lambda write, *arguments, **options: thread.submit(write, *arguments, **options).result()
 
 
-def _new_array(
-    group: Any, path: str | os.PathLike[str], shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata
-) -> Any:
-    """Return the new array of a stack of images, a chunk each, in a group that has its axes and scale."""
+def _new_array(group: Any, shape: tuple[int, int, int], dtype: np.dtype[Any], metadata: ImageMetadata) -> None:
+    """Create the array of a stack of images, a chunk each, in a group that has its axes and scale."""
     size, period_s = metadata.um_per_px or 1.0, None if metadata.depth_scan else metadata.frame_period_s
     first = _axis("z", "space", None) if metadata.depth_scan else _axis("t", "time", "second" if period_s else None)
     scaled = {"type": "scale", "scale": [period_s or 1.0, size, size]}
     datasets = [{"path": "0", "coordinateTransformations": [scaled]}]
-    _describe(group, path, [first, *_space(metadata.um_per_px)], datasets)
-    return group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
+    _describe(group, metadata, [first, *_space(metadata.um_per_px)], datasets)
+    group.create_array("0", shape=shape, chunks=(1, *shape[1:]), dtype=dtype)
 
 
-def _describe(
-    group: Any, path: str | os.PathLike[str], axes: list[dict[str, str]], datasets: list[dict[str, Any]]
-) -> None:
-    multiscale = {"name": Path(path).name.split(".")[0], "axes": axes, "datasets": datasets}
+def _describe(group: Any, metadata: ImageMetadata, axes: list[dict[str, str]], datasets: list[dict[str, Any]]) -> None:
+    multiscale = {"name": metadata.name, "axes": axes, "datasets": datasets}
     group.attrs["ome"] = {"version": "0.5", "multiscales": [multiscale]}
 
 
@@ -240,10 +196,9 @@ OME_ZARR: Final = FileFormat(
     "OME-Zarr",
     (".zarr",),
     OmeZarr,
-    write_ome_zarr,
-    write_ome_zarr_pyramid,
-    allocate_ome_zarr,
-    fill_ome_zarr,
+    allocator=allocate_ome_zarr,
+    filler=fill_ome_zarr,
+    pyramid_writer=write_ome_zarr_pyramid,
     written_suffixes=(".ome.zarr", ".zarr"),
     folder_markers=("zarr.json", ".zgroup", ".zarray", ".zattrs"),
 )

@@ -11,20 +11,23 @@ import warnings
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import refuse_suffix
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from numpy.typing import DTypeLike, NDArray
+    import numpy as np
+    from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io.formats.source import FrameSource
+
+    Images = Iterable[NDArray[Any]]
+    """Images (rows, cols) of one shape and type, each contiguous in memory."""
 
 ENTRY_POINTS: Final = "napari_elsplus.file_formats"
 """Group of the entry points by which installed packages add formats."""
@@ -48,6 +51,8 @@ class ImageMetadata:
         Anything else to keep; must be fit for JSON.
     calibration : Calibration, optional
         Kept in the file, without its arrays.
+    name : str
+        Of the images, where the format keeps one; that of their file by default.
 
     Examples
     --------
@@ -61,62 +66,12 @@ class ImageMetadata:
     depth_scan: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     calibration: Calibration | None = None
+    name: str = ""
 
     def __post_init__(self) -> None:
         for name in ("um_per_px", "frame_period_s") if self.calibration is not None else ():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(self.calibration, name))
-
-
-class ImageWriter(Protocol):
-    """Writes finished images, as :func:`napari_elsplus.io.write_images`, which calls it."""
-
-    def __call__(
-        self,
-        path: str | os.PathLike[str],
-        images: Iterable[NDArray[Any]],
-        metadata: ImageMetadata,
-        *,
-        force: bool = False,
-    ) -> int:
-        """Write equal images, (rows, cols) each, and return their number."""
-
-
-class PyramidWriter(Protocol):
-    """Writes a single image with its halved levels, as :func:`napari_elsplus.io.write_mosaic`, which calls it."""
-
-    def __call__(
-        self,
-        path: str | os.PathLike[str],
-        image: NDArray[Any],
-        metadata: ImageMetadata,
-        *,
-        force: bool = False,
-    ) -> Path:
-        """Write an image (rows, cols) and return its path."""
-
-
-class ImageAllocator(Protocol):
-    """Creates a file of zeros, as :func:`napari_elsplus.io.allocate_images`, which calls it."""
-
-    def __call__(
-        self,
-        path: str | os.PathLike[str],
-        shape: tuple[int, int, int],
-        dtype: DTypeLike,
-        metadata: ImageMetadata,
-    ) -> None:
-        """Create a file of images (T, rows, cols), with their metadata."""
-
-
-class ImageFiller(Protocol):
-    """Writes images into an allocated file, as :func:`napari_elsplus.io.fill_images`, which calls it and flushes.
-
-    Several processes may write different images at once.
-    """
-
-    def __call__(self, path: str | os.PathLike[str], first: int, images: Iterable[NDArray[Any]]) -> int:
-        """Write images (rows, cols) from the index `first` on, and return their number."""
 
 
 @dataclass(frozen=True)
@@ -132,14 +87,17 @@ class FileFormat:
     opener : callable, optional
         Path to :class:`~napari_elsplus.io.formats.source.FrameSource`; None where frames cannot be read. Heavy
         decoders are imported in it, so that the registry stays cheap to import.
-    writer : ImageWriter, optional
-        None where images cannot be written.
-    pyramid_writer : PyramidWriter, optional
-        None where the format has no pyramid; `writer` then writes mosaics.
-    allocator, filler : ImageAllocator, ImageFiller, optional
-        None where a file is written from its first image to its last only.
+    writer : callable, optional
+        ``writer(path, images, metadata)`` writes all images of a file from first to last and returns their number.
+    allocator, filler : callable, optional
+        In place of `writer`: ``allocator(path, (T, rows, cols), dtype, metadata)`` creates a file of zeros, and
+        ``filler(path, first, images)`` writes images into it from an index on and returns their number; it is called
+        in any order, and by several processes.
+    pyramid_writer : callable, optional
+        ``pyramid_writer(path, image, metadata)`` writes a mosaic (rows, cols) with its halved levels; by default it is
+        written as a stack of one image.
     written_suffixes : tuple of str
-        Suffixes that the writers write, the usual one first.
+        Suffixes that are written, the usual one first; none where images cannot be written.
     folder_markers : tuple of str, optional
         The format is a folder that contains one of these files, or any folder if empty; None for a single file.
     signatures : tuple of bytes
@@ -149,10 +107,10 @@ class FileFormat:
     name: str
     suffixes: tuple[str, ...]
     opener: Callable[[Path], FrameSource] | None = None
-    writer: ImageWriter | None = None
-    pyramid_writer: PyramidWriter | None = None
-    allocator: ImageAllocator | None = None
-    filler: ImageFiller | None = None
+    writer: Callable[[Path, Images, ImageMetadata], int] | None = None
+    allocator: Callable[[Path, tuple[int, int, int], np.dtype[Any], ImageMetadata], object] | None = None
+    filler: Callable[[Path, int, Images], int] | None = None
+    pyramid_writer: Callable[[Path, NDArray[Any], ImageMetadata], object] | None = None
     written_suffixes: tuple[str, ...] = ()
     folder_markers: tuple[str, ...] | None = None
     signatures: tuple[bytes, ...] = ()
@@ -243,7 +201,7 @@ def format_to_read(path: Path) -> FileFormat:
 
 
 def format_to_write(path: Path) -> FileFormat:
-    """Return the format whose writer writes a path's suffix.
+    """Return the format that writes a path's suffix.
 
     Raises
     ------
@@ -251,9 +209,8 @@ def format_to_write(path: Path) -> FileFormat:
         If no format writes it.
     """
     name = path.name.lower()
-    writable = [one for one in file_formats() if one.writer is not None]
-    refuse_suffix(path, *(suffix for one in writable for suffix in one.written_suffixes))
-    return next(one for one in writable if name.endswith(one.written_suffixes))
+    refuse_suffix(path, *(suffix for one in file_formats() for suffix in one.written_suffixes))
+    return next(one for one in file_formats() if name.endswith(one.written_suffixes))
 
 
 def supported_recordings() -> str:

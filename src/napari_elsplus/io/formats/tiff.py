@@ -11,7 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats import ome_xml as ome
-from napari_elsplus.io.formats.ome_tiff import allocate_stack, fill_stack, write_ome_tiff_pyramid, write_stack
+from napari_elsplus.io.formats.ome_tiff import allocate_stack, fill_stack, write_ome_tiff_pyramid
 from napari_elsplus.io.formats.registry import FileFormat
 from napari_elsplus.io.formats.source import FrameSource, decoding, positive
 from napari_elsplus.io.formats.strided_tiff import StridedTiff, is_strided
@@ -224,10 +224,9 @@ TIFF: Final = FileFormat(
     "TIFF",
     (".tif", ".tiff", ".btf"),
     open_tiff,
-    write_stack,
-    write_ome_tiff_pyramid,
-    allocate_stack,
-    fill_stack,
+    allocator=allocate_stack,
+    filler=fill_stack,
+    pyramid_writer=write_ome_tiff_pyramid,
     written_suffixes=(".ome.tif", ".tif", ".tiff"),
     signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
 )

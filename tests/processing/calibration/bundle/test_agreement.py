@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.io import write_calibration, write_stack
+from napari_elsplus.io import write_calibration, write_images
 from napari_elsplus.processing.calibration.bundle.agreement import grey_level_note, require_agreement
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
@@ -87,7 +87,7 @@ def test_the_panels_refuse_a_view_elsewhere(panel: Callable[[Stack, object], obj
 
 
 def test_a_recording_whose_views_lie_elsewhere_is_opened_as_raw_frames(tmp_path: Path) -> None:
-    write_stack(tmp_path / "scan.ome.tif", np.stack(frames("fibres") * 2))
+    write_images(tmp_path / "scan.ome.tif", np.stack(frames("fibres") * 2))
     write_calibration(tmp_path / "scan.calibration.json", moved_by_30_px())
     opened = open_layers(tmp_path / "scan.ome.tif")
     assert len(opened.layers) == 1
@@ -132,7 +132,7 @@ def test_a_background_of_fewer_bits_is_warned_of(made: Callable[..., object]) ->
 
 
 def test_the_panels_note_a_background_of_fewer_bits(tmp_path: Path) -> None:
-    write_stack(tmp_path / "scan.ome.tif", np.stack(scaled(16) * 3))
+    write_images(tmp_path / "scan.ome.tif", np.stack(scaled(16) * 3))
     write_calibration(tmp_path / "scan.calibration.json", with_background(1))
     opened = open_layers(tmp_path / "scan.ome.tif")
     assert len(opened.layers) == 5
@@ -170,7 +170,7 @@ def test_saturated_frames_are_named_first(made: Callable[..., object]) -> None:
 
 
 def test_the_panels_note_saturated_frames(tmp_path: Path) -> None:
-    write_stack(tmp_path / "scan.ome.tif", np.stack(over_exposed()))
+    write_images(tmp_path / "scan.ome.tif", np.stack(over_exposed()))
     write_calibration(tmp_path / "scan.calibration.json", true_calibration(INSTRUMENT))
     assert re.search(SATURATED, open_layers(tmp_path / "scan.ome.tif").notes[0])
 
