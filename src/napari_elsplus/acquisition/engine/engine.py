@@ -141,13 +141,7 @@ class Engine(ClosedOnExit):
                 raise
 
     def show(self, view: LiveView | None) -> None:
-        """Choose how live images are made for a view, None where nobody looks at them.
-
-        Raises
-        ------
-        CalibrationError
-            If the calibration lacks what the view needs.
-        """
+        """Make live images for a view, none for None; a calibration that lacks what it needs is a CalibrationError."""
         with self._lock:
             self._imaging.show(view)
 
