@@ -19,7 +19,6 @@ from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
-from napari_elsplus.hardware.virtual.camera.capture import Capture
 from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
@@ -114,10 +113,10 @@ class CameraBench:
 
 @pytest.fixture
 def cameras() -> Callable[..., CameraBench]:
-    def make(real_time: bool = True, *, capture: Capture | None = None, **camera: object) -> CameraBench:
+    def make(real_time: bool = True, **camera: object) -> CameraBench:
         bench = PlainBench(real_time)
         plug = Plug(VirtualCamera(bench, **{"serial": "4711", **camera}))
-        return CameraBench(bench, plug, VirtualBus(plug, capture=capture))
+        return CameraBench(bench, plug, VirtualBus(plug))
 
     return make
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.hardware.protocols import Region
-from napari_elsplus.hardware.virtual.camera.capture import Capture
+from usb_capture import Capture, CapturedBus
 
 pytestmark = pytest.mark.skipif(
     shutil.which("tshark") is None, reason="tshark (Debian's package of that name, from Wireshark) is not installed"
@@ -21,13 +21,13 @@ REGION = Region(4, 16, 1040, 1312)
 @pytest.fixture(scope="module")
 def packets(tmp_path_factory):
     """A session, dissected: configure, stream, stop, with an answer that was asked time for."""
-    from virtual_devices import CameraBench, PlainBench, Plug, VirtualBus, VirtualCamera
+    from virtual_devices import CameraBench, PlainBench, Plug, VirtualCamera
 
     path = tmp_path_factory.mktemp("wireshark") / "session.pcap"
     plain = PlainBench(real_time=False)
     plug = Plug(VirtualCamera(plain, serial="4711"))
     with Capture(path) as capture:
-        bus = VirtualBus(plug, capture=capture)
+        bus = CapturedBus(plug, capture)
         with CameraBench(plain, plug, bus).open(wait_for_reader=True) as camera:
             plug.camera.faults.pending_acks = 1
             camera.configure(REGION, slit_rows=3, frame_rate_hz=60)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Iterator
 
-    from napari_elsplus.hardware.virtual.camera.capture import Capture
     from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
 
 
@@ -61,12 +60,10 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
     ----------
     *plugs : Plug
         Devices on the bus.
-    capture : Capture, optional
-        Receives every transfer.
     """
 
-    def __init__(self, *plugs: Plug, capture: Capture | None = None) -> None:
-        self.plugs, self.capture = list(plugs), capture
+    def __init__(self, *plugs: Plug) -> None:
+        self.plugs = list(plugs)
 
     def enumerate_devices(self) -> Iterator[Plug]:
         """Return every device that is plugged in; see :meth:`usb.backend.IBackend.enumerate_devices`."""
@@ -100,10 +97,6 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         self._reach(dev)
         if dev.forbidden:
             raise USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
-        if self.capture is not None:
-            self.capture.enumeration(
-                descriptors.device(dev.iidc, dev.is_super), descriptors.configuration(dev.iidc, dev.is_super)
-            )
         return dev
 
     def close_device(self, dev_handle: Plug) -> None:
@@ -162,8 +155,6 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         self._reach(dev_handle)
         if ep != CONTROL_OUT:
             raise USBError("Entity not found", -5, errno.ENOENT)
-        if self.capture is not None:
-            self.capture.bulk(ep, data.tobytes())
         dev_handle.camera.control_endpoint.write(data.tobytes())
         return len(data)
 
@@ -174,15 +165,12 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
         if ep == STREAM_IN:
             count = dev_handle.camera.read_stream(buff, timeout / 1000)
             self._reach(dev_handle)
-        elif ep == CONTROL_IN:
+            return count
+        if ep == CONTROL_IN:
             answer = dev_handle.camera.control_endpoint.read(timeout / 1000)
             buff[: len(answer)] = type(buff)("B", answer)
-            count = len(answer)
-        else:
-            raise USBError("Entity not found", -5, errno.ENOENT)
-        if self.capture is not None:
-            self.capture.bulk(ep, buff[:count].tobytes(), len(buff))
-        return count
+            return len(answer)
+        raise USBError("Entity not found", -5, errno.ENOENT)
 
     def _reach(self, plug: Plug) -> None:
         if plug.unplugged:

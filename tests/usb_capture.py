@@ -8,8 +8,11 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.closing import ClosedOnExit
+from napari_elsplus.hardware.virtual.camera import descriptors
+from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
 
 if TYPE_CHECKING:
+    from array import array
     from pathlib import Path
 
 LINK_TYPE: Final = 220
@@ -83,3 +86,35 @@ class Capture(ClosedOnExit):
         )  # fmt: skip
         record = struct.pack("<IIII", now_ns // 10**9, now_ns // 1000 % 10**6, 64 + len(kept), 64 + len(data))
         self._file.write(record + header + kept)
+
+
+class CapturedBus(VirtualBus):
+    """A virtual bus all of whose transfers are recorded.
+
+    Parameters
+    ----------
+    plug : Plug
+        Device on the bus.
+    capture : Capture
+        Receives every transfer.
+    """
+
+    def __init__(self, plug: Plug, capture: Capture) -> None:
+        super().__init__(plug)
+        self._capture = capture
+
+    def open_device(self, dev: Plug) -> Plug:
+        opened = super().open_device(dev)
+        self._capture.enumeration(
+            descriptors.device(dev.iidc, dev.is_super), descriptors.configuration(dev.iidc, dev.is_super)
+        )
+        return opened
+
+    def bulk_write(self, dev_handle: Plug, ep: int, intf: int, data: array[int], timeout: int) -> int:
+        self._capture.bulk(ep, data.tobytes())
+        return super().bulk_write(dev_handle, ep, intf, data, timeout)
+
+    def bulk_read(self, dev_handle: Plug, ep: int, intf: int, buff: array[int], timeout: int) -> int:
+        count = super().bulk_read(dev_handle, ep, intf, buff, timeout)
+        self._capture.bulk(ep, buff[:count].tobytes(), len(buff))
+        return count
