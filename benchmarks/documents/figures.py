@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.calibration_report.report import save_calibration_report
-from napari_elsplus.workflows.pictures.comparison import compare
+from napari_elsplus.workflows.comparison import compare
 from napari_elsplus.workflows.simulated import simulate_calibration, simulate_recording
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
+from napari_elsplus.workflows.comparison import compare
+from napari_elsplus.workflows.pictures.comparison import draw_comparison
 from napari_elsplus.workflows.pictures.files import save_figure
 
 if TYPE_CHECKING:

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from napari_elsplus.workflows.axial import measure_axial_response as measure_axial_response
     from napari_elsplus.workflows.batch.run import batch as batch
     from napari_elsplus.workflows.calibration import calibrate as calibrate
+    from napari_elsplus.workflows.comparison import compare as compare
     from napari_elsplus.workflows.mosaicing import mosaic as mosaic
     from napari_elsplus.workflows.mosaicing import track as track
-    from napari_elsplus.workflows.pictures.comparison import compare as compare
     from napari_elsplus.workflows.recommendation.recommend import recommend as recommend
     from napari_elsplus.workflows.sectioning import section as section
     from napari_elsplus.workflows.simulated import simulate_axial_scan as simulate_axial_scan
@@ -41,7 +41,7 @@ _PLACES = {
     "RecordingPlan": "acquisition.streaming.recorder:RecordingPlan",
     "batch": "workflows.batch.run:batch",
     "calibrate": "workflows.calibration:calibrate",
-    "compare": "workflows.pictures.comparison:compare",
+    "compare": "workflows.comparison:compare",
     "load_calibration": "io.calibrations:read_calibration",
     "measure_axial_response": "workflows.axial:measure_axial_response",
     "mosaic": "workflows.mosaicing:mosaic",

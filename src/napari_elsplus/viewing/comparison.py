@@ -10,11 +10,12 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.modes import COMPARED_MODES, FRAMES_PER_IMAGE, elsa_frames
-from napari_elsplus.processing.images.sectioning import Frames, Mode, disc
+from napari_elsplus.processing.images.modes import COMPARED_MODES
+from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import Stack, um_per_px_of
+from napari_elsplus.workflows.sectioning import frames_in_turn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -98,7 +99,7 @@ def compare_stack(stack: Stack, calibration: Calibration, cores: CoreFilter | st
     if note := agreement_note(raw, calibration):
         warnings.warn(note, stacklevel=2)
     images = {
-        mode: image_planes(_Successive(raw) if mode is Mode.ELSA else raw, calibration, mode, cores=cores)
+        mode: image_planes(frames_in_turn(raw, mode), calibration, mode, cores=cores)
         for mode in COMPARED_MODES
         if mode is not Mode.ELSA or len(raw) > 1
     }
@@ -192,20 +193,3 @@ for mode, found in image_statistics(images, comparison.inside).items():
         "from napari_elsplus.viewing.stack import Stack",
     )
     return recording_script(f"LS, ELSA and ELS+ of a frame of {stack.file_name}.", stack, calibration, body, imports)
-
-
-class _Successive:
-    """Pairs of raw frames, as ELSA takes them: each with the next, the last one with the previous."""
-
-    def __init__(self, raw: Frames) -> None:
-        self._raw = raw
-
-    def __len__(self) -> int:
-        return FRAMES_PER_IMAGE * len(self._raw)
-
-    def __getitem__(self, index: int, /) -> NDArray[np.generic]:
-        frame = index // FRAMES_PER_IMAGE
-        after = index - elsa_frames(frame)[0]
-        if after and frame == len(self._raw) - 1:
-            return self._raw[frame - 1]
-        return self._raw[frame + after]

@@ -35,8 +35,9 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
+from napari_elsplus.workflows.comparison import compare
 from napari_elsplus.workflows.mosaicing import mosaic
-from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
+from napari_elsplus.workflows.pictures.comparison import draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.sectioning import section

@@ -10,8 +10,12 @@ from matplotlib.text import Text
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.workflows.pictures.comparison import compare, draw_comparison
+from napari_elsplus.simulation.model.imperfections import Imperfections
+from napari_elsplus.workflows.comparison import compare
+from napari_elsplus.workflows.pictures.comparison import draw_comparison, scaled_images
 from napari_elsplus.workflows.pictures.files import save_figure
+from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.simulated import simulate_recording
 
 SHAPE = (60, 130)
 CALIBRATION = Calibration.parse(
@@ -33,6 +37,15 @@ def test_ls_and_els_reach_white_and_elsa_shares_the_factor_of_els() -> None:
         assert np.quantile(comparison.images[mode][comparison.inside], 1 - 1e-4) == pytest.approx(1)
     same_next = compare(np.stack([RAW[1], RAW[1]]), CALIBRATION)
     assert np.array_equal(same_next.images[Mode.ELSA], same_next.images[Mode.ELS])
+
+
+def test_the_compared_images_are_those_that_section_makes() -> None:
+    """Before: row noise was left in what `compare` showed, and taken out by `section` and in the Compare panel."""
+    raw = simulate_recording(frames=2, imperfections=Imperfections(row_noise_dn=3.0))
+    compared = compare(raw, raw.calibration)
+    images = {mode: section(raw, raw.calibration, mode)[0] for mode in compared.images}
+    for mode, image in scaled_images(images, compared.inside).items():
+        np.testing.assert_array_equal(compared.images[mode], image)
 
 
 @pytest.mark.parametrize(("frame", "count"), [(2, 3), (-1, 3), (0, 1)])

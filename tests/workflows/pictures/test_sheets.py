@@ -12,8 +12,8 @@ from PIL import Image
 from napari_elsplus.instrument.calibration import Calibration, OpticsSection
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.batch.tiles import read_tile, write_tile
+from napari_elsplus.workflows.comparison import compare
 from napari_elsplus.workflows.pictures.batch_sheet import draw_batch_sheet
-from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure, save_grey_figure
 from pairs import calibration, frames

@@ -31,7 +31,7 @@ def command(raw: Path, calibration: Path | None, frame: int, output: Path, force
     """Draw LS, ELSA and ELS+ of one frame of RAW with a line profile, scaled as in the paper."""
     from napari_elsplus.io import open_recording
     from napari_elsplus.processing.images.modes import COMPARED_MODES
-    from napari_elsplus.workflows.pictures.comparison import compare
+    from napari_elsplus.workflows.comparison import compare
     from napari_elsplus.workflows.pictures.files import refuse_format
 
     refuse_outputs(output, force=force, inputs=files_read(raw, calibration))

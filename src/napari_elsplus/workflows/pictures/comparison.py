@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from math import sqrt
 from pathlib import Path
@@ -12,13 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from napari_elsplus.errors import InputError
-from napari_elsplus.instrument.arguments import require_calibration, require_frames
-from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, Contrast, Scaling, contrast, white_levels
+from napari_elsplus.processing.analysis.image_quality import Contrast, Scaling, contrast, white_levels
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.modes import COMPARED_MODES
-from napari_elsplus.processing.images.sectioning import Frames, Mode, Sectioner, disc
+from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES, PAPER_COLOURS
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
@@ -29,8 +25,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
-
-    from napari_elsplus.instrument.calibration import Calibration
 
     Point = tuple[float, float]
 
@@ -57,8 +51,8 @@ class ComparisonFigure:
     Attributes
     ----------
     images : dict
-        Mode to (n, n) float32, 1 is white. :func:`compare` scales LS and ELS+ to 0.01 % saturation each, ELSA by the
-        factor of ELS+, as in the paper.
+        Mode to (n, n) float32, 1 is white. `compare` scales LS and ELS+ to 0.01 % saturation each, ELSA by the factor
+        of ELS+, as in the paper.
     inside : numpy.ndarray
         (n, n) bool: the disc of 90 % of the bundle, in which they are scaled and displayed.
     line : tuple
@@ -110,45 +104,6 @@ class ComparisonFigure:
         save_figure(draw_comparison(self), Path(path), force=force)
 
 
-def compare(raw: Frames, calibration: Calibration, frame: int = 0) -> ComparisonFigure:
-    """Return LS, ELSA and ELS+ images of one raw frame; ELSA takes its residual from the next frame.
-
-    Parameters
-    ----------
-    raw : Frames
-        Raw frames (rows, cols).
-    calibration : Calibration
-        Of the rig that made them.
-    frame : int
-        Index of the frame; not the last, since ELSA needs the one after it.
-
-    Raises
-    ------
-    InputError
-        If the frame, or the one after it, does not exist.
-    CalibrationError
-        If the calibration does not fit the recording.
-    """
-    require_frames(raw)
-    require_calibration(calibration)
-    if not 0 <= frame < len(raw) - 1:
-        raise InputError(
-            f"frame {frame} and the one after it are needed, the recording has {len(raw)} frames",
-            f"choose a frame from 0 to {len(raw) - 2}" if len(raw) > 1 else "record at least two",
-        )
-    rows, cols = raw[frame].shape
-    sectioner = Sectioner(calibration, (rows, cols))
-    if note := agreement_note(raw, calibration):
-        warnings.warn(note, stacklevel=2)
-    images = {
-        Mode.LS: sectioner.ls(raw[frame]),
-        Mode.ELSA: sectioner.elsa(raw[frame], raw[frame + 1]),
-        Mode.ELS: sectioner.els(raw[frame]),
-    }
-    inside = disc(sectioner.side, USED_DIAMETER * sectioner.diameter_px)
-    return ComparisonFigure(scaled_images(images, inside), inside, um_per_px=calibration.um_per_px)
-
-
 def scaled_images(
     images: Mapping[Mode, NDArray[np.float32]], inside: NDArray[np.bool_], scaling: Scaling | str = Scaling.PAPER
 ) -> dict[Mode, NDArray[np.float32]]:
@@ -163,8 +118,8 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
     Parameters
     ----------
     comparison : ComparisonFigure
-        Of :func:`compare`, or with images scaled otherwise; without its scale there is no scale bar, and the profile's
-        axis is in pixels.
+        Of `compare`, or with images scaled otherwise; without its scale there is no scale bar, and the profile's axis is
+        in pixels.
 
     Returns
     -------

@@ -22,9 +22,9 @@ from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.stack import Stack
+from napari_elsplus.workflows.comparison import compare
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import mosaic
-from napari_elsplus.workflows.pictures.comparison import compare
 from napari_elsplus.workflows.sectioning import section
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import pytest
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 from napari_elsplus.processing.tracking.registration.shutter_timing import estimate_line_periods_per_frame
-from napari_elsplus.workflows.line_timing import with_timing
 from napari_elsplus.workflows.sectioning import RawPairs
+from napari_elsplus.workflows.tracked_stack import with_timing
 from recordings import record, smooth_path, texture
 
 TRUE = RollingShutter(272.4)
