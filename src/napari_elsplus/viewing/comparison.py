@@ -10,12 +10,11 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
 from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
-from napari_elsplus.processing.images.modes import COMPARED_MODES
+from napari_elsplus.processing.images.modes import COMPARED_MODES, frames_in_turn
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import Stack, um_per_px_of
-from napari_elsplus.workflows.sectioning import frames_in_turn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -83,3 +83,30 @@ class Mode(Choice):
 
 COMPARED_MODES: Final[tuple[Mode, ...]] = (Mode.LS, Mode.ELSA, Mode.ELS)
 """Those that are compared, from left to right."""
+
+
+def frames_in_turn(raw: Frames, mode: Mode) -> Frames:
+    """Return the frames of which image k of a mode is made of raw frame k, not of non-overlapping groups.
+
+    Parameters
+    ----------
+    raw : Frames
+        Raw frames (rows, cols).
+    mode : Mode
+        ELSA takes its residual from the frame after each; for the last one, from the frame before.
+    """
+    return _Successive(raw) if mode is Mode.ELSA else raw
+
+
+class _Successive:
+    """Pairs of raw frames: each with the next, the last one with the previous."""
+
+    def __init__(self, raw: Frames) -> None:
+        self._raw = raw
+
+    def __len__(self) -> int:
+        return Mode.ELSA.frames_per_image * len(self._raw)
+
+    def __getitem__(self, index: int, /) -> NDArray[np.generic]:
+        frame, after = divmod(index, Mode.ELSA.frames_per_image)
+        return self._raw[frame + after if frame + after < len(self._raw) else frame - 1]

@@ -118,8 +118,8 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
     Parameters
     ----------
     comparison : ComparisonFigure
-        Of `compare`, or with images scaled otherwise; without its scale there is no scale bar, and the profile's axis is
-        in pixels.
+        Of `compare`, or with images scaled otherwise; without its scale there is no scale bar, and the axis of the
+        profiles is in pixels.
 
     Returns
     -------
