@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
 
-HERE = Path(__file__).parents[1] / "acquisition"
+TESTS = Path(__file__).parents[1]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -37,11 +38,18 @@ def viewer(make_napari_viewer_proxy):
     return make_napari_viewer_proxy()
 
 
+@pytest.fixture(autouse=True)
+def _patient_engine(monkeypatch):
+    """Panels start the engine's process with limits that are no test of the computer."""
+    start = partial(EngineClient, (sys.executable, str(TESTS / "patient_process.py")))
+    monkeypatch.setattr("napari_elsplus.widgets.shared.connection.EngineClient", start)
+
+
 @pytest.fixture
 def small_engine(tmp_path, monkeypatch):
     """Panels start the engine on a rig of a few lines, at a rate that leaves time for other tests' work."""
     monkeypatch.setenv("ELSPLUS_CONFIG", str(tmp_path / "settings"))
-    command = (sys.executable, str(HERE / "engine_process.py"), str(tmp_path / "mirror.log"))
+    command = (sys.executable, str(TESTS / "acquisition" / "engine_process.py"), str(tmp_path / "mirror.log"))
     clients = Clients()
 
     def start():

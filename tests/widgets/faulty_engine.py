@@ -5,6 +5,7 @@ Arguments: a file that names the fault in force, read for every frame, and one i
 
 from __future__ import annotations
 
+import runpy
 import sys
 from pathlib import Path
 from typing import Any
@@ -66,4 +67,5 @@ def noted(method: Any, move: str, moves: Path) -> Any:
 
 
 if __name__ == "__main__":
+    runpy.run_path(str(Path(__file__).parents[1] / "patience.py"))["be_patient"]()
     process.run(open_rig)
