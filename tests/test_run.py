@@ -34,6 +34,7 @@ class Recorder:
         self.module = module
         self.commands: list[list[str]] = []
         self.environments: list[dict[str, str]] = []
+        self.giving_way: list[list[str]] = []
         self.failing = ""
 
     def __call__(self, command: list[str], **environment: str) -> int:
@@ -46,8 +47,12 @@ class Recorder:
         return 3 if self.failing and self.failing in command else 0
 
     @contextmanager
-    def beside(self, command: list[str], codes: dict[str, int], name: str, **environment: str) -> Iterator[None]:
+    def beside(
+        self, command: list[str], codes: dict[str, int], name: str, *, gives_way: bool = False, **environment: str
+    ) -> Iterator[None]:
         codes[name] = self(command, **environment)
+        if gives_way:
+            self.giving_way.append(command)
         yield
 
     def said(self) -> list[str]:
@@ -275,25 +280,31 @@ def test_tests_run_every_check(arguments: list[str], selects: bool, run: ModuleT
 
 
 @pytest.mark.parametrize("screen", [True, False])
-def test_every_test_runs_once_in_two_processes_or_in_turn(
+def test_every_test_runs_once_as_computation_in_two_processes_or_in_turn(
     screen: bool, run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run.sys, "platform", "linux")
     monkeypatch.setattr(run, "screen_answers", lambda: screen)
     run.main(["test"])
-    types, plugin, live, _, in_two, in_turn = recorder.commands[-6:]
+    (first,) = (at for at, command in enumerate(recorder.commands) if command[-1] == "mypy")
+    types, plugin, live, _, *tests = recorder.commands[first:]
     assert (types[-1], plugin[3], live[1]) == ("mypy", "validate", "acquire")
-    cache = recorder.environments[-4]["ELSPLUS_CACHE"]
-    assert recorder.environments[-2]["OMP_NUM_THREADS"] == "1"
-    assert {environment["ELSPLUS_TEST_CACHE"] for environment in recorder.environments[-2:]} == {cache}
-    assert "OMP_NUM_THREADS" not in recorder.environments[-1]
-    assert ("src" in in_two, "tests" in in_turn) == (True, True)
-    (workers,) = (word for word in in_two if word.startswith(("--numprocesses=2", "--tx=2*")))
-    assert ("xvfb-run" in workers) != screen
+    cache = recorder.environments[first + 2]["ELSPLUS_CACHE"]
+    environments = recorder.environments[first + 4 :]
+    assert {environment["ELSPLUS_TEST_CACHE"] for environment in environments} == {cache}
+    of_computation, in_turn, *in_two = tests  # on a screen, windows would take the keyboard from each other
+    assert len(in_two) == (not screen)
+    assert recorder.giving_way == [of_computation]
+    assert ["OMP_NUM_THREADS" in environment for environment in environments] == [True, False, True][: len(tests)]
+    assert ("src" in of_computation, "tests" in in_turn) == (True, True)
+    for command in (of_computation, *in_two):
+        (workers,) = (word for word in command if word.startswith(("--numprocesses=2", "--tx=2*")))
+        assert ("xvfb-run" in workers) != screen
     for path in run.PURE + run.PATIENT:
         assert (PROJECT / path).exists()
-        shared = path in run.PURE or not screen  # on a screen, windows would take the keyboard from each other
-        assert ((path in in_two), (f"--ignore={path}" in in_turn)) == (shared, shared)
+        assert sum(path in command for command in tests) == (path in run.PURE or not screen)
+        assert (path in of_computation) == (path in run.PURE)
+        assert (f"--ignore={path}" in in_turn) == (path in run.PURE or not screen)
 
 
 def test_tests_of_times_devices_and_losses_have_the_computer_alone(run: ModuleType) -> None:
@@ -321,6 +332,18 @@ def test_what_runs_beside_is_told_at_its_end_with_its_exit_code(
     assert capsys.readouterr().out == "meanwhile\n== types\ntold\n"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
+@pytest.mark.parametrize("gives_way", [True, False])
+def test_what_gives_way_has_only_the_time_that_others_leave(
+    gives_way: bool, run: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asks = "import os; print(os.sched_getscheduler(0))"
+    command = [sys.executable, "-c", f"import subprocess; subprocess.run([{sys.executable!r}, '-c', {asks!r}])"]
+    with run.beside(command, {}, "policy", gives_way=gives_way):
+        pass
+    assert capsys.readouterr().out == f"== policy\n{os.SCHED_IDLE if gives_way else os.sched_getscheduler(0)}\n"
+
+
 def test_what_runs_beside_ends_with_an_interruption(run: ModuleType) -> None:
     begun_s = time.monotonic()
     sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -343,10 +366,14 @@ def test_windows_are_tested_on_a_virtual_screen_where_there_is_none(
     run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run.main(["test"])
-    assert recorder.environments[-1]["DISPLAY"] == ":1280x1024"
     monkeypatch.setattr(run, "screen_answers", lambda: True)
     run.main(["test"])
-    assert "DISPLAY" not in recorder.environments[-1]
+    displays = [
+        environment.get("DISPLAY")
+        for command, environment in zip(recorder.commands, recorder.environments, strict=True)
+        if "tests" in command
+    ]
+    assert displays == [":1280x1024", None]
 
 
 DRAWS = """
