@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import sys
 from threading import Thread
 from time import sleep
+
+import pytest
 
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 
@@ -142,3 +145,13 @@ def test_stamps_carry_the_camera_s_number_and_time() -> None:
     _, stamp = cursor.take(0)  # type: ignore[misc]
     assert (stamp.sequence, stamp.frame_number, stamp.received_s) == (0, 71, 3.5)
     assert stamp.readout_start_s == 1.5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts page faults as Linux does")
+def test_no_page_of_the_ring_is_first_touched_while_the_camera_runs() -> None:
+    import resource
+
+    stream = FrameStream((512, 1024), 40)  # 5120 pages
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+    put(stream, 40)
+    assert resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before < 500

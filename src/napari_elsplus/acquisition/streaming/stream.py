@@ -7,6 +7,7 @@ skips the oldest frames and counts them, and a recording can begin with frames o
 from __future__ import annotations
 
 import mmap
+import sys
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -103,8 +104,7 @@ class FrameStream:
 
     def __init__(self, frame_shape: tuple[int, int], frames: int) -> None:
         stride = -(-frame_shape[0] * frame_shape[1] // mmap.PAGESIZE) * mmap.PAGESIZE
-        memory = mmap.mmap(-1, frames * stride)
-        np.frombuffer(memory, np.uint8)[:: mmap.PAGESIZE] = 0  # so that no page is first touched while the camera runs
+        memory = _touched_memory(frames * stride)
         raws = [np.ndarray(frame_shape, np.uint8, memory, index * stride) for index in range(frames)]
         self._arrays = [{"raw": raw} for raw in raws]
         self._stamps: list[Stamp | None] = [None] * frames
@@ -205,3 +205,13 @@ class FrameStream:
             if cursor.awaited is not None and (self._ended or cursor.awaited <= self.written):
                 cursor.awaited = None
                 cursor.woken.release()
+
+
+def _touched_memory(size: int) -> mmap.mmap:
+    """Allocate pages of which none is first touched while the camera runs."""
+    if sys.platform == "linux":
+        memory = mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | mmap.MAP_POPULATE)  # twice as fast
+    else:
+        memory = mmap.mmap(-1, size)
+        np.frombuffer(memory, np.uint8)[:: mmap.PAGESIZE] = 0
+    return memory
