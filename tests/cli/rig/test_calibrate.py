@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_elsplus.acquisition.calibrating import live
 from napari_elsplus.acquisition.calibrating.simulated import QUICK_VOLTAGES
 from napari_elsplus.io import read_calibration, write_column
+from napari_elsplus.processing.calibration.steps import calibration_steps
 from napari_elsplus.simulation.accuracy import calibration_errors
 from napari_elsplus.simulation.model.instrument import Instrument
 
@@ -150,16 +152,19 @@ def test_bad_input_is_one_line_and_leaves_nothing(elsplus: Elsplus, bad: Path, a
     assert sorted(bad.iterdir()) == before
 
 
+@pytest.mark.parametrize("left_out", ["lag", pytest.param("", marks=pytest.mark.slow)])
 def test_the_simulated_rig_is_calibrated_live(
-    elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left_out: str
 ) -> None:
-    monkeypatch.setattr(
-        "napari_elsplus.acquisition.calibrating.live.SWEEP_VOLTAGES", QUICK_VOLTAGES
-    )  # the camera is no faster than a real one
+    """All steps and voltages are those of ../../acquisition/calibrating/test_live.py, which compares with the truth."""
+    steps = [step for step in calibration_steps(first=live.MEASURED_FIRST) if step.key != left_out]
+    monkeypatch.setattr(live, "calibration_steps", lambda first: steps)
+    voltages = 24 if left_out else QUICK_VOLTAGES  # the camera is no faster than a real one
+    monkeypatch.setattr(live, "SWEEP_VOLTAGES", voltages)
     out = tmp_path / "live.json"
     run = elsplus("calibrate", "--rig", "simulated", "-o", out)
     assert run.code == 0, run.err
-    assert "scan lag" in run.out
+    assert ("scan lag" in run.out) != bool(left_out)
     calibration = read_calibration(out)
     calibration.require("frame", "acquired_with", "offset", "galvo", "bundle", "optics", "quality")
     errors = calibration_errors(calibration, Instrument.of("240hz"))
