@@ -190,16 +190,11 @@ def virtual_screen(size: str) -> Iterator[dict[str, str]]:
         screen.communicate()
 
 
-def give_way() -> None:
-    """Let this process, and those that it starts, have only the time that all others leave."""
-    if hasattr(os, "SCHED_IDLE"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    else:
-        os.nice(19)
-
-
-GIVES_WAY = {"creationflags": subprocess.IDLE_PRIORITY_CLASS} if os.name == "nt" else {"preexec_fn": give_way}
-"""Makes a child process give way to all others."""
+if os.name == "nt":
+    GIVES_WAY = {"creationflags": subprocess.BELOW_NORMAL_PRIORITY_CLASS}
+else:
+    GIVES_WAY = {"preexec_fn": lambda: os.nice(10)}
+"""Makes a child process, and those that it starts, give way to others; not so far that it stands still beside them."""
 
 
 @contextmanager

@@ -332,16 +332,17 @@ def test_what_runs_beside_is_told_at_its_end_with_its_exit_code(
     assert capsys.readouterr().out == "meanwhile\n== types\ntold\n"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
+@posix_only
 @pytest.mark.parametrize("gives_way", [True, False])
-def test_what_gives_way_has_only_the_time_that_others_leave(
+def test_what_gives_way_has_a_lower_priority_with_all_that_it_starts(
     gives_way: bool, run: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asks = "import os; print(os.sched_getscheduler(0))"
+    asks = "import os; print(os.nice(0))"
     command = [sys.executable, "-c", f"import subprocess; subprocess.run([{sys.executable!r}, '-c', {asks!r}])"]
-    with run.beside(command, {}, "policy", gives_way=gives_way):
+    with run.beside(command, {}, "priority", gives_way=gives_way):
         pass
-    assert capsys.readouterr().out == f"== policy\n{os.SCHED_IDLE if gives_way else os.sched_getscheduler(0)}\n"
+    own = os.nice(0)
+    assert capsys.readouterr().out == f"== priority\n{min(own + 10, 19) if gives_way else own}\n"
 
 
 def test_what_runs_beside_ends_with_an_interruption(run: ModuleType) -> None:

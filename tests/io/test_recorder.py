@@ -283,7 +283,7 @@ def test_a_disk_that_fails_while_it_is_flushed_is_said_at_the_next_frame(tmp_pat
     writer = RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8)
     writer.append(frame(0), 0.0, 0)
     monkeypatch.setattr("os.fsync", failing)
-    writer._flusher.join(timeout=10)
+    writer._flusher.join(timeout=100)
     assert not writer._flusher.is_alive()
     with pytest.raises(OSError, match="ended after 1 frames"):
         writer.append(frame(1), 0.1, 1)
@@ -308,7 +308,7 @@ def test_a_disk_that_failed_after_the_last_frame_is_said_at_the_end_and_the_file
     for k in range(3):
         writer.append(np.full((40, 60), k, np.uint8), time_s=k / 240, frame_number=k)
     monkeypatch.setattr("os.fsync", failing_once)
-    writer._flusher.join(timeout=10)
+    writer._flusher.join(timeout=100)
     with pytest.raises(OSError, match="may not have reached the disk") as raised:
         writer.close()
     assert raised.value.errno == errno.EIO

@@ -55,7 +55,7 @@ def test_frames_are_linked_on_another_thread_and_no_more_than_a_few_are_under_wa
     estimate_pose, prepare_image = two.estimate_pose, two.prepare_image
 
     def slow_pose(image):
-        gate.wait(10)
+        gate.wait(100)
         linked_on.add(threading.current_thread().name)
         return estimate_pose(image)
 

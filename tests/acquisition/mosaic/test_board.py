@@ -187,7 +187,7 @@ def test_a_dropped_segment_is_gone_its_frames_are_lost_and_its_tiles_are_used_ag
 def test_what_was_copied_outlives_the_board_and_another_process_sees_it(scribe: Scribe) -> None:
     scribe.draw(3.0, 4.0)
     done = subprocess.run(
-        [sys.executable, "-c", LOOK, scribe.board.name], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", LOOK, scribe.board.name], capture_output=True, text=True, timeout=600, check=True
     )
     count, brightest = done.stdout.split()
     image = scribe.mosaics[0].read()[0]

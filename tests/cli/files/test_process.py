@@ -43,7 +43,7 @@ def slow(numbers, step):
     for number in numbers:
         if number == 150:  # of 200: the first ones are written
             print("begun", flush=True)
-            time.sleep(60)
+            time.sleep(600)
         yield number
 
 process.progress = slow
@@ -62,7 +62,7 @@ def test_a_command_that_is_ended_leaves_no_unfinished_file(files: tuple[Path, Pa
     assert running.stdout.readline() == b"begun\n"
     before = set(tmp_path.iterdir())
     running.send_signal(getattr(signal, name))
-    said = running.communicate(timeout=20)[1].decode()
+    said = running.communicate(timeout=200)[1].decode()
     assert len(before) == 3
     assert set(tmp_path.iterdir()) == {raw, calibration}
     assert running.returncode == 128 + getattr(signal, name)

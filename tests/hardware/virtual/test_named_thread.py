@@ -37,5 +37,5 @@ def test_the_thread_ends_with_its_owner() -> None:
     assert owner.calls == 1
     (thread,) = named("simulated end")
     del owner
-    thread.join(5)
+    thread.join(100)
     assert not thread.is_alive()
