@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -77,16 +77,18 @@ def dry_run(card: CardSettings, limits: GalvoLimits) -> Iterator[str]:
                 pulses.timing.cfg_implicit_timing(AcquisitionType.CONTINUOUS)
                 pulses.start()
                 scanner.scan(parked_waveform(limits, card.park_v, 1 / rate_hz))
-                begin_s, before = time.perf_counter(), scanner.ramps_begun
+                first = _ramps(scanner)
                 time.sleep(DRY_RUN_S)
-                ramps, took_s = scanner.ramps_begun - before, time.perf_counter() - begin_s
+                last = _ramps(scanner)
                 scanner.check()
                 scanner.park()
-            expected = took_s * rate_hz
-            yield f"{chosen.name}: {ramps} ramps in {took_s:.3f} s, {expected:.1f} pulses of {counter}"
+            ramps = last.count - first.count
+            least, most = (last.before_s - first.after_s) * rate_hz, (last.after_s - first.before_s) * rate_hz
+            pulses_of = f"{(least + most) / 2:.1f} pulses of {counter}"
+            yield f"{chosen.name}: {ramps} ramps in {(least + most) / 2 / rate_hz:.3f} s, {pulses_of}"
             if not ramps:
                 yield "the count of samples stands: the card does not count what it repeats by itself; report it"
-            elif abs(ramps - expected) <= 2:
+            elif least - 2 <= ramps <= most + 2:  # between the counts passed some time from the least to the most
                 yield "one ramp for every pulse, and its samples are counted while the card repeats them by itself"
             else:
                 yield "not every pulse starts a ramp: the counter needs longer to arm, run at a lower frame rate"
@@ -124,6 +126,19 @@ def parking(rig: Rig) -> Iterator[str]:
         f"parked after {reset.parked_s * 1e3:.0f} ms"
     )
     yield f"laser line: {scanner.card.laser_line or 'none; a shutter or laser enable on a digital line is recommended'}"
+
+
+class _Ramps(NamedTuple):
+    """Ramps that the card had begun at some time between two."""
+
+    count: int
+    before_s: float
+    after_s: float
+
+
+def _ramps(scanner: DaqScanner) -> _Ramps:
+    before_s = time.perf_counter()
+    return _Ramps(scanner.ramps_begun, before_s, time.perf_counter())
 
 
 def _parked(scanner: DaqScanner) -> str:
