@@ -50,9 +50,9 @@ def _a_busy_computer_is_no_stuck_device(request: pytest.FixtureRequest, monkeypa
         be_patient(monkeypatch.setattr)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def _old_objects_are_left_alone() -> None:
-    """napari and its fixtures often collect garbage; whatever was imported is not looked through each time."""
+    """napari and its fixtures often collect garbage; whatever was imported or left is not looked through each time."""
     gc.collect()
     gc.freeze()
 

@@ -6,6 +6,7 @@ The tests of the hardware and of safety keep the limits of the drivers.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pkgutil import resolve_name
 
 LONG_S = {
@@ -22,8 +23,13 @@ LONG_S = {
 
 def be_patient(set_limit: Callable[[object, str, float], None] = setattr) -> None:
     """Give each limit its long value: for good by default, else by a function of module, name and value."""
-    for name, seconds in LONG_S.items():
-        place, _, limit = name.rpartition(".")
-        module = resolve_name(f"napari_elsplus.hardware.{place}")
-        assert hasattr(module, limit)
+    for module, limit, seconds in _limits():
         set_limit(module, limit, seconds)
+
+
+@cache
+def _limits() -> list[tuple[object, str, float]]:
+    places = [(name.rpartition("."), seconds) for name, seconds in LONG_S.items()]
+    limits = [(resolve_name(f"napari_elsplus.hardware.{place}"), limit, s) for (place, _, limit), s in places]
+    assert all(hasattr(module, limit) for module, limit, _ in limits)
+    return limits
