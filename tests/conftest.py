@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,17 @@ def _a_busy_computer_is_no_stuck_device(request: pytest.FixtureRequest, monkeypa
     """Only the tests of the hardware and of safety keep the limits of the drivers."""
     if request.path.relative_to(Path(__file__).parent).parts[0] not in ("hardware", "safety"):
         be_patient(monkeypatch.setattr)
+
+
+@pytest.fixture(autouse=True)
+def _priority_is_as_before_it() -> Iterator[None]:
+    """What keeps the camera's pace in this process leaves its real-time priority to no other test."""
+    interval_s = sys.getswitchinterval()
+    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if sys.platform == "linux" else None
+    yield
+    sys.setswitchinterval(interval_s)
+    if before is not None:
+        os.sched_setscheduler(0, *before)
 
 
 @pytest.fixture
