@@ -82,6 +82,6 @@ def test_a_signal_closes_the_window_without_a_question(
         QMessageBox.question(viewer.window._qt_window, "Replace", "Replace it?")  # returns when it is closed
     else:
         os.kill(os.getpid(), signal.SIGTERM)
-    qtbot.waitUntil(lambda: not hasattr(viewer.window, "_qt_window"), timeout=10_000)
+    qtbot.waitUntil(lambda: not hasattr(viewer.window, "_qt_window"), timeout=60_000)
     timer.stop()
     assert not asked

@@ -42,7 +42,7 @@ from pairs import write_pair
 from processes import exists
 
 PLUGIN = "napari-elsplus"
-LONG_MS = 30_000
+LONG_MS = 60_000
 AVERAGED = 12
 VOLTAGES = 24
 
@@ -439,7 +439,7 @@ def test_a_diameter_in_millimetres_is_refused_and_the_last_one_stays(panel):
 def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_recording, tmp_path, questions):
     window = panel.window()
     window.show()
-    qtbot.waitUntil(lambda: window.isVisible(), timeout=10_000)
+    qtbot.waitUntil(lambda: window.isVisible(), timeout=60_000)
     qtbot.wait(100)
     from_file(qtbot, panel, "offset", open_recording / "line.tif")
     panel.form.accept.click()

@@ -40,7 +40,7 @@ def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_fil
     panel.measure.native.click()
     assert panel.work.busy
     assert not panel.measure.enabled
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert [(layer.name, layer.visible) for layer in viewer.layers] == before
     (scan,) = panel.scans
     assert scan.response.els_3db.um == pytest.approx(30, rel=0.02)
@@ -133,7 +133,7 @@ def test_a_simulated_scan_can_be_cancelled(panel, qtbot):
     panel.simulate.native.click()
     assert panel.work.busy
     panel.work.cancel()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel.scans == []
     assert panel.simulate.enabled
 
@@ -167,7 +167,7 @@ def test_a_renamed_stack_stays_selected(viewer, panel, scan_file, qtbot):
     viewer.layers["scan raw"].name = "mine"
     assert panel.stack.value == panel.live.value == "mine"
     panel.measure.native.click()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert len(panel.scans) == 1
     panel.source.value = MANUAL
     panel.take.native.click()

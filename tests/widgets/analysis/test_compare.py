@@ -17,7 +17,7 @@ from napari_elsplus.widgets.shared.problems import problems
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
-LONG_MS = 20_000
+LONG_MS = 60_000
 OURS = ["compare LS", "compare ELSA", "compare ELS+", "compare titles", "compare line"]
 
 

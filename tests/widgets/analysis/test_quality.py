@@ -27,7 +27,7 @@ def panel(viewer, tmp_path):
 
 def mark(panel, qtbot):
     panel.mark.native.click()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
 
 
 def test_alignment_is_told_of_the_frame_that_is_shown(viewer, panel):
@@ -67,7 +67,7 @@ def test_the_edge_map_becomes_a_layer_and_a_plot(viewer, panel, qtbot, tmp_path)
     for _ in range(2):
         panel.average.native.click()
         assert not panel.average.enabled
-        qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert [layer.name for layer in viewer.layers].count(EDGE) == 1
     assert viewer.layers[EDGE].name_overlay.visible
     np.testing.assert_allclose(viewer.layers[EDGE].translate, viewer.layers["scan LS"].translate[1:])
@@ -150,16 +150,16 @@ def test_an_edge_map_is_not_displayed_under_another_recording(viewer, panel, tmp
 
     monkeypatch.setattr("napari_elsplus.widgets.analysis.quality.measure_edge", late)
     panel.average.native.click()
-    qtbot.waitUntil(computed.is_set, timeout=20_000)
+    qtbot.waitUntil(computed.is_set, timeout=60_000)
     panel.recording.value = next(name for name in panel.recording.choices if name != panel.recording.value)
     chosen.set()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert EDGE not in viewer.layers
     assert panel.edge is None
     assert not panel.plot.curves
     assert panel.average.enabled
     panel.average.native.click()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert EDGE in viewer.layers
 
 
@@ -168,7 +168,7 @@ def test_a_renamed_recording_stays_selected_with_its_results(viewer, panel, tmp_
     panel.recording.value = "other raw"
     panel.align.native.click()
     panel.average.native.click()
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     edge = panel.edge
     other = viewer.layers["other raw"]
     for name in ("mine", "scan raw"):  # napari makes the second one unique

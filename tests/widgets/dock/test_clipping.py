@@ -50,12 +50,12 @@ def test_no_text_of_any_panel_is_clipped(dock, qtbot, size, theme):
     viewer.theme = theme
     viewer.window.resize(*size)
     window = dock.window()
-    qtbot.waitUntil(lambda: window.width() == size[0], timeout=10_000)
+    qtbot.waitUntil(lambda: window.width() == size[0], timeout=60_000)
     clipped, places = [], set()
     for kind in PANELS:
         dock.show_tab(kind.title)
         panel = dock.by_title[kind.title].panel
-        qtbot.waitUntil(panel.isVisible, timeout=10_000)
+        qtbot.waitUntil(panel.isVisible, timeout=60_000)
         choices = {"Calibration": panel.form.steps if kind.title == "Calibration" else {}, "Axial response": SCANS}
         for choice in choices.get(kind.title, [""]):
             if kind.title == "Calibration":

@@ -58,7 +58,7 @@ def test_it_fits_the_window_of_a_laptop(viewer, dock, qtbot, size):
     viewer.window.show()
     viewer.window.resize(*size)
     window = dock.window()
-    qtbot.waitUntil(lambda: (window.width(), window.height()) == size, timeout=10_000)
+    qtbot.waitUntil(lambda: (window.width(), window.height()) == size, timeout=60_000)
     assert dock.minimumSizeHint().height() <= 400
     assert dock.minimumSizeHint().width() < size[0] / 2
     for title, tab in dock.by_title.items():
@@ -111,7 +111,7 @@ def test_the_status_line_names_rig_stream_and_calibration(dock, qtbot):
     assert "no rig connected" in state.text()
     assert "active calibration: none" in state.text()
     dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    qtbot.waitUntil(lambda: "<b>simulated</b>: connected" in state.text(), timeout=10_000)
+    qtbot.waitUntil(lambda: "<b>simulated</b>: connected" in state.text(), timeout=60_000)
 
 
 def test_an_error_stays_with_its_remedy_until_the_panels_next_action_succeeds(dock, tmp_path):

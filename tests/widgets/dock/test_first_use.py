@@ -34,13 +34,13 @@ def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, t
     assert {title: len(hints(panel(dock, title))) for title in dock.by_title} == dict.fromkeys(dock.by_title, 1)
     assert "open a recording" in hints(panel(dock, "Compare"))[0]
     drop(panel(dock, "Compare"), write_pair(tmp_path))
-    qtbot.waitUntil(lambda: "press Compare" in "".join(hints(panel(dock, "Compare"))), timeout=10_000)
+    qtbot.waitUntil(lambda: "press Compare" in "".join(hints(panel(dock, "Compare"))), timeout=60_000)
     panel(dock, "Compare").begin()
     qtbot.waitUntil(lambda: not hints(panel(dock, "Compare")), timeout=30_000)
     assert "press Connect" in hints(panel(dock, "Rig"))[0]
     assert "press Start" in hints(panel(dock, "Live"))[0]
     dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
-    qtbot.waitUntil(lambda: "press Calibrate simulated rig" in "".join(hints(panel(dock, "Rig"))), timeout=10_000)
+    qtbot.waitUntil(lambda: "press Calibrate simulated rig" in "".join(hints(panel(dock, "Rig"))), timeout=60_000)
     panel(dock, "Calibration").choose("offset")
     assert "press Measure" in hints(panel(dock, "Calibration"))[0]
 

@@ -22,8 +22,8 @@ def dock(small_engine, make_napari_viewer_proxy, qtbot):
     dock.show_tab("Quality")
     window = dock.window()
     window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow, timeout=10_000)
-    qtbot.waitUntil(lambda: len(bound(window)) == len(KEYS), timeout=10_000)
+    qtbot.waitUntil(window.isActiveWindow, timeout=60_000)
+    qtbot.waitUntil(lambda: len(bound(window)) == len(KEYS), timeout=60_000)
     return dock
 
 

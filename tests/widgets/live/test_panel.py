@@ -171,7 +171,7 @@ def test_a_killed_engine_is_said_once_the_layers_stay_and_it_can_start_again(vie
 def test_keys_start_and_stop(viewer, panel, qtbot):
     viewer.window.show()
     panel.window().activateWindow()
-    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=10_000)
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=60_000)
     QTest.keyClick(panel, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     qtbot.waitUntil(lambda: panel.live, timeout=30_000)
     QTest.keyClick(panel, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
@@ -182,7 +182,7 @@ def test_the_key_of_one_frame_is_not_that_of_the_command_palette(viewer, panel, 
     viewer.window.show()
     start(panel, qtbot)
     panel.window().activateWindow()
-    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=10_000)
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=60_000)
     assert "Ctrl+Shift+F" in panel.form.snapping.tooltip
     QTest.keyClick(panel, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
     qtbot.waitUntil(lambda: list(tmp_path.glob("snap-*.ome.tif")) != [], timeout=30_000)

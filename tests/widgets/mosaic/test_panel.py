@@ -154,7 +154,7 @@ def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):
     assert (tmp_path / "m.png").read_bytes()[:4] == b"\x89PNG"
 
     panel.window().activateWindow()
-    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=10_000)
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=60_000)
     keys = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
     QTest.keyClick(panel, Qt.Key.Key_U, keys)
     assert not np.isfinite(viewer.layers["mosaic ELS+"].data[-1]).any()

@@ -32,21 +32,21 @@ def test_the_bar_names_the_kernel_that_is_compiled_meanwhile(qtbot):
 
     def compute():
         report_compilation("align")
-        compiled.wait(10)
+        compiled.wait(100)
         report_compilation("")
-        ended.wait(10)
+        ended.wait(100)
         return 3
 
     work.begin(0, compute, results.append)
     try:
-        qtbot.waitUntil(lambda: label.text() == "compiling align, once after an installation", timeout=10_000)
+        qtbot.waitUntil(lambda: label.text() == "compiling align, once after an installation", timeout=60_000)
         assert label.isVisible()
         compiled.set()
-        qtbot.waitUntil(lambda: not label.isVisible(), timeout=10_000)
+        qtbot.waitUntil(lambda: not label.isVisible(), timeout=60_000)
     finally:
         compiled.set()
         ended.set()
-    qtbot.waitUntil(lambda: not work.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not work.busy, timeout=60_000)
     assert results == [3]
 
 
@@ -59,15 +59,15 @@ def test_the_bar_displays_steps_in_a_second(qtbot):
     def compute():
         for step in work.progress(range(50)):
             if step == 40:
-                ended.wait(10)
+                ended.wait(100)
 
     work.begin(0, compute, lambda result: None)
     try:
-        qtbot.waitUntil(lambda: re.fullmatch(r"%p %, \d+/s", bar.format()) is not None, timeout=10_000)
+        qtbot.waitUntil(lambda: re.fullmatch(r"%p %, \d+/s", bar.format()) is not None, timeout=60_000)
         assert bar.value() == 40
     finally:
         ended.set()
-    qtbot.waitUntil(lambda: not work.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not work.busy, timeout=60_000)
 
 
 def test_the_status_line_names_the_kernel_that_the_engine_compiles():
