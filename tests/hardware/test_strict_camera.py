@@ -14,8 +14,7 @@ from usb import util
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.protocols import HasClock, Region
-from napari_elsplus.hardware.u3v.camera import U3vCamera
-from napari_elsplus.hardware.u3v.clock import CameraClock
+from napari_elsplus.hardware.u3v.camera import CameraClock, U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.virtual.camera.bus import VirtualBus
 from sfnc_camera import StandardRegisters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.calibrating import live, remembered, simulated
+from napari_elsplus.acquisition.calibrating import live, simulated
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rigs import open_rig
@@ -79,11 +79,11 @@ def test_other_devices_and_other_software_measure_again(
     rig: Rig, engine: Engine, measured: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = {
-        remembered.remembered_file(simulation, engine.setup)
+        simulated.remembered_file(simulation, engine.setup)
         for simulation in (Simulation(), Simulation(galvo=replace(GalvoModel(), natural_hz=800.0)), Simulation(seed=1))
     }
-    monkeypatch.setattr(remembered, "software_fingerprint", lambda: "edited")
-    files.add(remembered.remembered_file(Simulation(), engine.setup))
+    monkeypatch.setattr(simulated, "software_fingerprint", lambda: "edited")
+    files.add(simulated.remembered_file(Simulation(), engine.setup))
     assert len(files) == 4
 
 
@@ -120,7 +120,7 @@ def test_a_broken_file_and_a_folder_that_refuses_cost_only_time(
 
 def test_the_oldest_are_removed(tmp_path: Path, measured: list[str], rig: Rig, engine: Engine) -> None:
     calibration = start(rig, engine)
-    for number in range(remembered.MAX_FILES + 3):
-        remembered.remember_calibration(tmp_path / "many" / f"simulated-{number:02d}.json", calibration)
-    assert len(list((tmp_path / "many").glob("*.json"))) == remembered.MAX_FILES
-    assert len(list((tmp_path / "many").glob("*.npz"))) == remembered.MAX_FILES
+    for number in range(simulated.MAX_FILES + 3):
+        simulated.remember_calibration(tmp_path / "many" / f"simulated-{number:02d}.json", calibration)
+    assert len(list((tmp_path / "many").glob("*.json"))) == simulated.MAX_FILES
+    assert len(list((tmp_path / "many").glob("*.npz"))) == simulated.MAX_FILES

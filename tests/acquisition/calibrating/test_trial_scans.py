@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_elsplus.acquisition.calibrating.trial_scans import unsteady_ramps
+from napari_elsplus.acquisition.calibrating.live import unsteady_ramps
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.virtual import steady_scan
 from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo

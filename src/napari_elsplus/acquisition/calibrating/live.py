@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.acquisition.calibrating.capture import (
+    MOVED_S,
     find_span,
     settled_frames,
     streaming,
@@ -16,9 +18,9 @@ from napari_elsplus.acquisition.calibrating.capture import (
     take_scanning,
     take_sweep,
 )
-from napari_elsplus.acquisition.calibrating.trial_scans import TrialScans
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.hardware.priority import ordinary_priority
+from napari_elsplus.hardware.scan.following import drive_of, highest_rate_hz
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.slit_offset import OffsetFollower
@@ -29,10 +31,15 @@ from napari_elsplus.processing.progress import without_display
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
     from napari_elsplus.acquisition.engine.engine import Engine
+    from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.scan.galvo_response import Drive
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
     from napari_elsplus.processing.calibration.step import CalibrationStep, Target
     from napari_elsplus.processing.progress import Progress, ProgressWrapper
+
 
 SWEEP_VOLTAGES: Final = 400
 """Of the galvo map; as many as the paper takes."""
@@ -46,6 +53,49 @@ SWEEP_REACH: Final = 0.55
 """Of the bundle's diameter to either side of its centre; chosen: a tenth beyond the rim."""
 MEASURED_FIRST: Final = ("pair", "offset", "galvo")
 """Keys in the order of a whole calibration: the pair gives the columns at which offset and galvo map are taken."""
+
+
+def unsteady_ramps(frame_period_s: float) -> int:
+    """Return the number of ramps, each a `frame_period_s` long, after which a galvo repeats its motion.
+
+    The first begins at rest, and what differs then decays as after any motion.
+
+    Examples
+    --------
+    >>> [unsteady_ramps(1 / rate_hz) for rate_hz in (240, 230, 120)]
+    [2, 2, 1]
+    """
+    return ceil(MOVED_S / frame_period_s)
+
+
+class TrialScans:
+    """Scans by trial calibrations; see :class:`napari_elsplus.processing.calibration.scan.learned_ramp.Scans`.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def frames(self, calibration: Calibration, count: int) -> NDArray[np.uint8]:
+        """Take a count of frames (count, rows, cols) by a calibration, without the ramps before its motion repeats."""
+        self._engine.scan(calibration)
+        period_s = self._engine.galvo.timing.frame_period_s
+        return settled_frames(self._engine, count, unsteady_ramps(period_s) * period_s)
+
+    def drive(self, calibration: Calibration) -> Drive:
+        """Return the drive of a scan by a calibration; raise an InputError if the galvo's limits do not allow it."""
+        calibration.require("galvo", "bundle")
+        waveform = self._engine.galvo.waveform(calibration)
+        assert waveform is not None
+        return drive_of(waveform, calibration.measured_galvo, self._engine.galvo.timing)
+
+    def highest_rate_hz(self, calibration: Calibration) -> float:
+        """Return the highest frame rate at which the galvo's limits allow a scan by a calibration; 0 for none."""
+        return highest_rate_hz(calibration, self._engine.galvo.timing, self._engine.galvo.limits)
 
 
 def engine_setup(engine: Engine) -> Setup:

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.scan.correction import PathCorrection
-from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, ScanPath
+from napari_elsplus.hardware.scan.path import LEAD_IN_S, TURN_S, PathCorrection, ScanPath
 from napari_elsplus.processing.images.modes import FRAMES_PER_IMAGE, elsa_frames
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.acquisition.link.offset_following import follow_offset
+from napari_elsplus.acquisition.link.client import follow_offset
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.draft import setup_of
