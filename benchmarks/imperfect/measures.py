@@ -286,7 +286,7 @@ def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
 def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> AxialResponse:
     """Measure the axial response in a scan of depths; the background is taken in the light of the scan."""
     scan = rig.axial_scan(DEPTHS_UM, seed=seed)
-    dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
+    dark = calibration.model_copy(update={"background": background(lit_for_plate(rig.instrument), seed=seed + 1)})
     return measure_axial_response(list(scan), dark, DEPTHS_UM)  # each frame rendered once
 
 
@@ -296,7 +296,7 @@ def axial_as_advised(rig: ImperfectRig, calibration: Calibration, line_rows: Row
     # In one order, a ripple of the power could have the same phase at a depth in all scans.
     depths_um = np.random.default_rng(seed).permuted(np.tile(DEPTHS_UM, (MAX_SCANS, 1)), axis=1).ravel()
     scan = rig.axial_scan(depths_um, seed=seed, line_rows=line_rows)
-    dark = calibration.model_copy(update={"background": background(scan.instrument, seed=seed + 1)})
+    dark = calibration.model_copy(update={"background": background(lit_for_plate(rig.instrument), seed=seed + 1)})
     wanted = 1
     while len(parts) < wanted:
         for number in range(len(parts), wanted):

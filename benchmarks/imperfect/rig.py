@@ -19,7 +19,7 @@ from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.step import StepInputs
 from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.simulation import calibration_scenes
-from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate
+from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate
 from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft
     from napari_elsplus.processing.calibration.scan.galvo_response import Drive
+    from napari_elsplus.simulation.rendering.frames import RenderedFrames
     from napari_elsplus.simulation.specimen.scenes import Scene
     from napari_elsplus.simulation.specimen.trajectories import Trajectory
 
@@ -156,9 +157,9 @@ class ImperfectRig:
         """Return a renderer of a scene."""
         return Renderer(self.instrument, scene, trajectory, seed=seed)
 
-    def axial_scan(self, depths_um: Rows, *, seed: int = 0, line_rows: Rows | None = None) -> AxialScan:
+    def axial_scan(self, depths_um: Rows, *, seed: int = 0, line_rows: Rows | None = None) -> RenderedFrames:
         """Return a scan of depths of a stained plate."""
-        return AxialScan(lit_for_plate(self.instrument), depths_um, seed=seed, line_rows=line_rows)
+        return axial_scan(lit_for_plate(self.instrument), depths_um, seed=seed, line_rows=line_rows)
 
 
 class _Scans:

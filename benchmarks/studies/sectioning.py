@@ -10,7 +10,7 @@ import numpy as np
 from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -44,9 +44,10 @@ def measure_axial(instrument: Instrument, *, seed: int = 0, light: float = 1.0) 
     """
     lit = lit_for_plate(instrument)
     lit = replace(lit, light_dn=light * lit.light_dn)
-    scan = AxialScan(lit, scan_depths_um(), seed=seed)
+    depths_um = scan_depths_um()
+    scan = axial_scan(lit, depths_um, seed=seed)
     calibration = true_calibration(lit, background(lit, seed=seed + 1))
-    return axial_response(scan.depths_um, *axial_profiles(scan, calibration))
+    return axial_response(depths_um, *axial_profiles(scan, calibration))
 
 
 def weigh_offset(offset_um: float) -> SectioningPerformance:

@@ -9,12 +9,11 @@ import numpy as np
 
 from napari_elsplus.simulation.model.axial_response import line_response
 from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS, Instrument
+from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import plate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
 CONTACT_DN = 100.0
@@ -35,8 +34,14 @@ def lit_for_plate(instrument: Instrument) -> Instrument:
     return replace(instrument, light_dn=CONTACT_DN / share)
 
 
-class AxialScan:
-    """Sequence of raw frames of a stained plate, one at each depth, rendered on access.
+def axial_scan(
+    instrument: Instrument,
+    depths_um: NDArray[np.float64],
+    *,
+    seed: int = 0,
+    line_rows: NDArray[np.float64] | None = None,
+) -> RenderedFrames:
+    """Return raw frames of a stained plate, one at each depth.
 
     Parameters
     ----------
@@ -51,39 +56,17 @@ class AxialScan:
 
     Examples
     --------
-    >>> scan = AxialScan(lit_for_plate(Instrument.of("120hz")), scan_depths_um())
+    >>> scan = axial_scan(lit_for_plate(Instrument.of("120hz")), scan_depths_um())
     >>> len(scan), bool(scan[0].mean() > 3 * scan[-1].mean())
     (137, True)
     """
+    kept: dict[float, Renderer] = {}  # where the plate comes back to a depth
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        depths_um: NDArray[np.float64],
-        *,
-        seed: int = 0,
-        line_rows: NDArray[np.float64] | None = None,
-    ) -> None:
-        self.instrument, self.depths_um = instrument, depths_um
-        self._seed, self._line_rows = seed, line_rows
-        self._renderers: dict[float, Renderer] = {}
+    def render(index: int) -> NDArray[np.uint8]:
+        depth_um = float(depths_um[index])
+        renderer = kept.get(depth_um) or Renderer(instrument, plate(depth_um + instrument.line.gap_um), seed=seed)
+        if np.count_nonzero(depths_um == depth_um) > 1:
+            kept[depth_um] = renderer
+        return renderer.render(index, line_rows=line_rows)
 
-    def __len__(self) -> int:
-        return len(self.depths_um)
-
-    def __getitem__(self, index: int) -> NDArray[np.uint8]:
-        """Return the frame (rows, cols), uint8, at the depth of this index."""
-        index = range(len(self))[index]
-        return self._renderer(float(self.depths_um[index])).render(index, line_rows=self._line_rows)
-
-    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        return (self[index] for index in range(len(self)))
-
-    def _renderer(self, depth_um: float) -> Renderer:
-        """Return the renderer of a depth, kept where the plate comes back to it."""
-        if depth_um not in self._renderers:
-            renderer = Renderer(self.instrument, plate(depth_um + self.instrument.line.gap_um), seed=self._seed)
-            if np.count_nonzero(self.depths_um == depth_um) == 1:
-                return renderer
-            self._renderers[depth_um] = renderer
-        return self._renderers[depth_um]
+    return RenderedFrames(render, len(depths_um))

@@ -18,14 +18,11 @@ from napari_elsplus.processing.axial.axial_response import (
     axial_response,
 )
 from napari_elsplus.processing.axial.profiles import axial_profiles
-from napari_elsplus.simulation import calibration_scenes
-from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
-from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.script import recording_script
 from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.axial import measure_axial_response
+from napari_elsplus.workflows.simulated import simulate_axial_scan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -259,28 +256,20 @@ def simulated_scan(
 
     Parameters
     ----------
-    offset_um : float
-        Slit offset.
-    slit_um : float
-        Slit width, rounded to whole rows.
-    depth_um : numpy.ndarray, optional
-        (T,); by default close together near the focus.
-    seed : int
-        Seed of the camera noise.
+    offset_um, slit_um, depth_um, seed
+        As of :func:`~napari_elsplus.workflows.simulated.simulate_axial_scan`.
 
     Returns
     -------
     tuple
         Stack of raw frames with its depths, and its calibration.
     """
-    instrument = lit_for_plate(Instrument.of("120hz", offset_um=offset_um, slit_um=slit_um))
-    depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
-    frames = AxialScan(instrument, depths, seed=seed)
-    planes = LazyPlanes(frames.__getitem__, (len(depths), *instrument.frame_shape), np.dtype(np.uint8))
-    known = {"um_per_px": instrument.optics.um_per_px}
-    name = f"simulated, offset {offset_um:g} µm, slit {instrument.slit_um:.1f} µm"
-    background = calibration_scenes.background(instrument, seed=seed)
-    return Stack(name, planes, known, depth_um=depths), true_calibration(instrument, background)
+    scan = simulate_axial_scan(offset_um=offset_um, slit_um=slit_um, depth_um=depth_um, seed=seed)
+    assert scan.calibration.background is not None
+    planes = LazyPlanes(scan.render, (scan.count, *scan.calibration.background.shape), np.dtype(np.uint8))
+    um_per_px = scan.truth["um_per_px"]
+    name = f"simulated, offset {offset_um:g} µm, slit {scan.truth['slit_rows'] * um_per_px:.1f} µm"
+    return Stack(name, planes, {"um_per_px": um_per_px}, depth_um=scan.depth_um), scan.calibration
 
 
 def axial_script(stack: Stack, calibration: Path | str | None) -> str:

@@ -26,7 +26,7 @@ from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes, truth
-from napari_elsplus.simulation.axial_scan import AxialScan, lit_for_plate, scan_depths_um
+from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -197,8 +197,8 @@ def simulate_axial_scan(
     )
     depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
     line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
-    scan = AxialScan(instrument, depths, seed=seed, line_rows=line_rows)
-    return _simulated(instrument, seed, {"state": state}, scan.__getitem__, len(depths), depths)
+    scan = axial_scan(instrument, depths, seed=seed, line_rows=line_rows)
+    return _simulated(instrument, seed, {"state": state}, scan.render, scan.count, depths)
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def test_a_suffix_that_no_format_writes_is_refused_before_the_work(
     elsplus: Elsplus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, name: str
 ) -> None:
     monkeypatch.setattr("napari_elsplus.simulation.rendering.renderer.Renderer.__init__", None)
-    monkeypatch.setattr("napari_elsplus.simulation.axial_scan.AxialScan.__init__", None)
+    monkeypatch.setattr("napari_elsplus.workflows.simulated.axial_scan", None)
     run = elsplus("simulate", kind, "-o", tmp_path / name)
     assert (run.code, run.err.count("\n")) == (2, 1)
     assert f"{name} has a suffix that cannot be written" in run.err
