@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from typing import TYPE_CHECKING, Any, Concatenate, Final, Generic, ParamSpec, Protocol, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar, overload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -43,13 +43,6 @@ class Turn(Enum):
     PROCEDURE = "exclusive for seconds, with progress, until it ends or is cancelled"
 
 
-class Caller(Protocol):
-    """Sends commands to an engine's process."""
-
-    def call(self, name: str, *arguments: Any, **options: Any) -> Future[Any]:
-        """Return the future result of a command, by its name."""
-
-
 @dataclass(frozen=True, slots=True)
 class Command(Generic[P, R]):
     """A command: on the class the record itself, on a client the method that sends it.
@@ -77,8 +70,8 @@ class Command(Generic[P, R]):
     @overload
     def __get__(self, client: None, owner: type) -> Self: ...
     @overload
-    def __get__(self, client: Caller, owner: type) -> Callable[P, Future[R]]: ...
-    def __get__(self, client: Caller | None, owner: type) -> Self | Callable[P, Future[R]]:
+    def __get__(self, client: Commands, owner: type) -> Callable[P, Future[R]]: ...
+    def __get__(self, client: Commands | None, owner: type) -> Self | Callable[P, Future[R]]:
         return self if client is None else partial(client.call, self.run.__name__)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, partial
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 from warnings import warn
 
 from napari_elsplus.errors import InputError
@@ -41,23 +41,6 @@ class Method(StrEnum):
     """Whole-pixel template matching from frame to frame (Thrapp and Hughes 2021): the baseline."""
 
 
-class TrackingFactory(Protocol):
-    """Makes a tracking method; called once for each recording, or for each live mosaic."""
-
-    def __call__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode) -> TrackingMethod:
-        """Return a tracking method.
-
-        Parameters
-        ----------
-        calibration : Calibration
-            May lack any section; a `CalibrationError` is shown to the user.
-        frame_shape : tuple of int
-            Rows and columns of the raw frames.
-        mode : Mode
-            Image type to track.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class RegisteredMethod:
     """A tracking method and its properties.
@@ -66,8 +49,9 @@ class RegisteredMethod:
     ----------
     name : str
         As on the command line and in files.
-    factory : TrackingFactory
-        Makes it.
+    factory : callable
+        ``factory(calibration, frame_shape, mode)`` makes it, once for each recording and each live mosaic; what a
+        :class:`TrackingMethod` needs of the calibration may be absent, and a `CalibrationError` is shown to the user.
     description : str
         One line, for help texts and tooltips.
     max_displacement : callable
@@ -82,7 +66,7 @@ class RegisteredMethod:
     """
 
     name: str
-    factory: TrackingFactory
+    factory: Callable[[Calibration, tuple[int, int], Mode], TrackingMethod]
     description: str
     max_displacement: Callable[[float], float] = lambda diameter: MAX_DISPLACEMENT_DIAMETERS * diameter
     corrects_rolling_shutter: bool = True
@@ -102,7 +86,12 @@ _METHODS: Final[dict[str, RegisteredMethod]] = {
 }  # fmt: skip
 
 
-def register_tracking_method(name: str, factory: TrackingFactory, description: str, **properties: Any) -> None:
+def register_tracking_method(
+    name: str,
+    factory: Callable[[Calibration, tuple[int, int], Mode], TrackingMethod],
+    description: str,
+    **properties: Any,
+) -> None:
     """Add a tracking method, or replace one that was added; parameters are those of :class:`RegisteredMethod`.
 
     Raises

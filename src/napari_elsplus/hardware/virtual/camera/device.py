@@ -115,8 +115,6 @@ class VirtualCamera:
         Clock, scene, and where the strobe goes.
     serial : str
         Its serial number.
-    line_rate_hz : float, optional
-        Rows per second; None: those of its make.
     make : type
         Its registers: those of a Flea3, or of another make.
     moved_s : callable, optional
@@ -129,20 +127,16 @@ class VirtualCamera:
         bench: Bench,
         *,
         serial: str = "1",
-        line_rate_hz: float | None = None,
         make: type[Make] = Flea3Registers,
         moved_s: Callable[[], float] | None = None,
     ) -> None:
         self.bench, self.faults, self._lock = bench, CameraFaults(), threading.RLock()
         self._moved_s = moved_s
-        model = make.model
-        if line_rate_hz is not None:
-            model = replace(model, line_rate_hz=line_rate_hz)
         self._train: StrobeTrain | None = None
         self._wired: StrobeTrain | None = None
         """Edges that the card receives."""
         self.stream = StreamInterface(self._payload_bytes, self._enable)
-        self.sensor = Sensor(model, lambda: self.stream.enabled or self._train is not None)
+        self.sensor = Sensor(make.model, lambda: self.stream.enabled or self._train is not None)
         self.make = make(self.sensor, self._acquire)
         self.identity = Identity(self.make.name, serial)
         self.memory = Memory()
