@@ -12,17 +12,19 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import supervision as guardian_module
 from napari_elsplus.hardware.guardian.process import STANDSTILL_S, guard
 from napari_elsplus.hardware.guardian.supervision import COMMAND, SILENT_S, Guardian
 from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
@@ -53,6 +55,10 @@ DRIVE = """
         print(json.dumps(rig.bench.card.place), flush=True)
         time.sleep(60)
 """
+
+
+def order_for(address: str, park_v: float = -0.7) -> CardOrder:
+    return CardOrder(CardSettings(park_v, address=address), GalvoLimits(min_v=-2.0, max_v=2.0))
 
 
 def seconds_until(condition: Callable[[], bool], within_s: float = 5.0) -> float:
@@ -92,7 +98,7 @@ def test_the_mirror_is_parked_however_the_driving_process_dies(how) -> None:
 def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        with Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian:
+        with Guardian(order_for(server.address)) as guardian:
             assert card.last_volts == 0.0
         assert card.last_volts == 0.0
         assert not guardian._process.alive
@@ -101,7 +107,7 @@ def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
 def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(order_for(server.address))
         guardian.hand_over()
         seconds_until(lambda: card.last_volts == -0.7)
         seconds_until(lambda: not guardian.on_guard)
@@ -112,7 +118,7 @@ def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> No
 def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        order = json.dumps(asdict(order_for(server.address)))
         answers = io.StringIO()
         guard(io.StringIO(f"{order}\n{end}"), answers)
     assert answers.getvalue() == "ready\n"
@@ -123,8 +129,10 @@ def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
 def test_the_last_whole_order_counts(later, volts) -> None:
     card = VirtualCard()
     with CardServer(card) as server:
-        first = CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)
-        second = '{"device": "Dev1", "outp' if later is None else json.dumps(asdict(replace(first, volts=later))) + "\n"
+        first = order_for(server.address)
+        second = (
+            '{"card": {"park_v": -0.' if later is None else json.dumps(asdict(order_for(server.address, later))) + "\n"
+        )
         guard(io.StringIO(json.dumps(asdict(first)) + "\n" + second), io.StringIO())
     assert card.last_volts == volts
 
@@ -133,13 +141,13 @@ def test_a_guardian_that_is_killed_is_replaced_with_the_newest_order_and_that_is
     """Before: nothing was on guard any more, without a word."""
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)) as guardian,
+        Guardian(order_for(server.address)) as guardian,
     ):
         first = guardian.pid
         guardian.revise(-0.9)
         os.kill(first, signal.SIGKILL)
         seconds_until(lambda: guardian.pid != first and len(guardian.reports) > 0 and guardian.on_guard)
-        assert guardian.order.volts == -0.9
+        assert guardian.order.card.park_v == -0.9
         assert "guardian" in str(guardian.reports[0])
 
 
@@ -149,7 +157,7 @@ def test_a_guardian_that_stands_still_is_replaced_and_that_is_reported() -> None
     lost: list[DeviceError] = []
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), lost.append) as guardian,
+        Guardian(order_for(server.address), lost.append) as guardian,
     ):
         time.sleep(3 * SILENT_S)
         assert not guardian.reports, "one that answers is left alone"
@@ -170,7 +178,7 @@ def test_a_guardian_that_is_told_to_end_by_others_than_its_process_stays() -> No
     """Before: SIGTERM to all processes, as at a logout, ended it before it could park."""
     card = VirtualCard()
     with CardServer(card) as server:
-        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(order_for(server.address))
         for name in {"SIGTERM", "SIGHUP", "SIGINT"} & set(dir(signal)) if sys.platform != "win32" else ():
             os.kill(guardian.pid, getattr(signal, name))
         guardian.hand_over()
@@ -190,7 +198,7 @@ def test_a_guardian_whose_process_dies_before_it_is_ready_parks() -> None:
     """Before: it ended by its answer, which nobody received."""
     card = VirtualCard()
     with CardServer(card) as server:
-        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        order = json.dumps(asdict(order_for(server.address)))
         guard(io.StringIO(order + "\n"), Broken())
     assert card.last_volts == -0.7
 
@@ -208,7 +216,7 @@ def test_a_terminal_that_takes_no_message_does_not_stop_parking() -> None:
             break
     os.set_blocking(terminal, True)
     with CardServer(card) as server:
-        order = json.dumps(asdict(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address)))
+        order = json.dumps(asdict(order_for(server.address)))
         process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=terminal, text=True)
         process.stdin.write(order + "\n")
         process.stdin.flush()
@@ -235,7 +243,7 @@ def test_who_reports_and_fails_does_not_stop_parking() -> None:
 
     with CardServer(card) as server:
         card.inject(refuse_s=0.3)
-        assert CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address).take_over(fail).parked
+        assert order_for(server.address).take_over(fail).parked
     assert card.last_volts == -0.7
 
 
@@ -255,7 +263,7 @@ def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_
     parks: list[DeviceError] = []
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), parks.append) as guardian,
+        Guardian(order_for(server.address), parks.append) as guardian,
     ):
         first = guardian.pid
         with monkeypatch.context() as exhausted:
@@ -272,7 +280,7 @@ def test_a_guardian_that_no_memory_lets_start_is_asked_for_until_it_comes_while_
 def test_a_guardian_that_never_comes_back_can_be_dismissed_and_revised(monkeypatch) -> None:
     """Before: ValueError, from its closed pipe."""
     with CardServer(VirtualCard()) as server:
-        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(order_for(server.address))
         monkeypatch.setattr(guardian_module.subprocess, "Popen", no_memory)
         os.kill(guardian.pid, signal.SIGKILL)
         seconds_until(lambda: len(guardian.reports) > 0)
@@ -290,7 +298,7 @@ def test_the_supervision_of_a_guardian_outlives_whoever_fails_on_its_reports() -
 
     with (
         CardServer(VirtualCard()) as server,
-        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address), fail) as guardian,
+        Guardian(order_for(server.address), fail) as guardian,
     ):
         guardian.on_report(fail)
         for _ in range(2):
@@ -318,7 +326,7 @@ def test_an_engine_moves_no_galvo_that_has_no_guardian(monkeypatch) -> None:
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:
     with pytest.raises(DeviceError, match="guardian did not start"):
-        Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, "127.0.0.1:9"))
+        Guardian(order_for("127.0.0.1:9"))
 
 
 SCRIPT = """
@@ -472,7 +480,7 @@ def test_a_guardian_is_dismissed_although_closing_was_interrupted(monkeypatch) -
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_a_guardian_that_stands_still_does_not_hold_up_its_dismissal() -> None:
     with CardServer(VirtualCard()) as server:
-        guardian = Guardian(CardOrder("Dev1", "ao0", -0.7, -2.0, 2.0, server.address))
+        guardian = Guardian(order_for(server.address))
         os.kill(guardian.pid, signal.SIGSTOP)
         begun_s = time.perf_counter()
         guardian.dismiss()

@@ -211,7 +211,7 @@ class Scanning(RuleBasedStateMachine):
         state = order.take_over()
         assert state.parked
         assert self.world.now_s - begun_s <= PARKED_S
-        assert self.output_is_parked(order.volts)
+        assert self.output_is_parked(order.card.park_v)
         self.open()
 
     # what holds

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.outside import import_driver, open_outside
 from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState, call_each
 from napari_elsplus.hardware.protocols import Scanner
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from napari_elsplus.hardware.daq.output import CardSettings
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 POLL_S: Final = 0.02
 """Seconds between two looks at the state of parking; chosen: small against the 0.5 s within which a galvo parks."""
@@ -29,18 +30,19 @@ class DriverOrder:
     ----------
     kind : str
         ``"package.module:Class"``.
-    volts : float
-        Parking voltage.
-    card, limits, options : dict
-        Fields of `CardSettings` and `GalvoLimits`, and keywords, with which the class is called.
+    card : CardSettings
+        Card, wiring, and where it parks.
+    limits : GalvoLimits
+        Limits of the galvo.
+    options : dict
+        Keywords with which the class is called, too.
     search_path : tuple of str
         Folders from which the driver is imported: ``sys.path`` of the process that drives.
     """
 
     kind: str
-    volts: float
-    card: dict[str, Any]
-    limits: dict[str, Any]
+    card: CardSettings
+    limits: GalvoLimits
     options: dict[str, Any] = field(default_factory=dict)
     search_path: tuple[str, ...] = ()
 
@@ -81,9 +83,8 @@ class DriverOrder:
 
     def _attempt(self, attempt: int) -> Iterator[ParkState]:
         """Open the scanner, and yield its states until it is parked, or what went wrong, whatever the driver raised."""
-        card, limits = CardSettings(**{**self.card, "park_v": self.volts}), GalvoLimits(**self.limits)
         try:
-            with open_outside(self.kind, Scanner, card, limits, **self.options) as scanner:
+            with open_outside(self.kind, Scanner, self.card, self.limits, **self.options) as scanner:
                 state: ParkState = scanner.park_state
                 while not state.parked:
                     yield state

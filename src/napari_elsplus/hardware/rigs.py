@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -92,8 +92,8 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
     if isinstance(scanner, DaqScanner):
         guardian = guard_scanner(scanner, CardOrder.of(scanner), held, scanner.interrupt)
     else:
-        kind, options, card = settings.scanner.kind, settings.scanner.options, asdict(settings.card_settings())
-        order = DriverOrder(kind, scanner.park_v, card, asdict(limits), options, tuple(sys.path))
+        card = replace(settings.card_settings(), park_v=scanner.park_v)
+        order = DriverOrder(settings.scanner.kind, card, limits, settings.scanner.options, tuple(sys.path))
         guardian = guard_scanner(scanner, order, held, partial(_park, scanner))
     return Rig(name, camera, scanner, limits, settings.camera.strobe, guardian)
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.hardware.daq.errors import translate_daq_errors
 from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.daq.session import open_session
 from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState, call_each
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from napari_elsplus.hardware.daq.scanner import DaqScanner
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 VIRTUAL_LIFE_S: Final = 5.0
 """Seconds without success after which a virtual card has ended with its program; chosen: longer than it lingers."""
@@ -23,51 +23,26 @@ VIRTUAL_LIFE_S: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class CardOrder:
-    """Output and voltage by which another process parks the galvo.
+    """Card and voltage by which another process parks the galvo.
 
     Parameters
     ----------
-    device, output : str
-        The card and its output.
-    volts : float
-        Parking voltage.
-    min_v, max_v : float
-        Range of the output in volts.
-    address : str
-        ``host:port`` of a gRPC device server; empty: the driver on this computer.
-    laser_line : str
-        Digital line of shutter or laser; empty: none.
-    laser_on_high : bool
-        Level of that line at which the laser is on.
+    card : CardSettings
+        Card, wiring, and where it parks.
+    limits : GalvoLimits
+        Range of the output.
     virtual : bool
         The card is a virtual one, which may end: parking is given up then.
     """
 
-    device: str
-    output: str
-    volts: float
-    min_v: float
-    max_v: float
-    address: str = ""
-    laser_line: str = ""
-    laser_on_high: bool = True
+    card: CardSettings
+    limits: GalvoLimits
     virtual: bool = False
 
     @classmethod
     def of(cls, scanner: DaqScanner, *, virtual: bool = False) -> CardOrder:
         """Return the order that parks the galvo of a scanner, on a real or a `virtual` card."""
-        card, limits = scanner.card, scanner.limits
-        return cls(
-            card.device,
-            card.output,
-            scanner.park_v,
-            limits.min_v,
-            limits.max_v,
-            card.address,
-            card.laser_line,
-            card.laser_on_high,
-            virtual,
-        )
+        return cls(replace(scanner.card, park_v=scanner.park_v), scanner.limits, virtual)
 
     def preload(self) -> None:
         """Load all modules that parking needs, and call the driver once, so that it is fast later.
@@ -80,8 +55,8 @@ class CardOrder:
         import nidaqmx.stream_readers
         import nidaqmx.stream_writers  # noqa: F401 - for later
 
-        session = open_session(self.address)
-        with translate_daq_errors(self.device):
+        session = open_session(self.card.address)
+        with translate_daq_errors(self.card.device):
             _ = session.system().driver_version
 
     def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
@@ -99,16 +74,8 @@ class CardOrder:
         ParkState
             The last state.
         """
-        settings = CardSettings(
-            self.volts,
-            device=self.device,
-            output=self.output,
-            laser_line=self.laser_line,
-            laser_on_high=self.laser_on_high,
-            address=self.address,
-        )
-        output = Output(settings, GalvoLimits(min_v=self.min_v, max_v=self.max_v))
-        parking, begun_s = Parking(output, self.volts), time.monotonic()
+        output = Output(self.card, self.limits)
+        parking, begun_s = Parking(output, self.card.park_v), time.monotonic()
         stage = ParkStage.UNKNOWN
         while True:
             state = parking.attempt()

@@ -20,8 +20,10 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,6 +103,7 @@ def _next(lines: SimpleQueue[str]) -> str:
 
 def _read_order(line: str) -> ParkOrder:
     fields = json.loads(line)
+    fields |= {"card": CardSettings(**fields["card"]), "limits": GalvoLimits(**fields["limits"])}
     return DriverOrder(**fields) if "kind" in fields else CardOrder(**fields)
 
 

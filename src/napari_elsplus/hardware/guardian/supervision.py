@@ -228,10 +228,10 @@ class Guardian:
 
     def revise(self, volts: float) -> None:
         """Park at another voltage, in volts, if this process dies; also for every replacement."""
-        if volts == self._order.volts:
+        if volts == self._order.card.park_v:
             return
         with self._lock:
-            self._order = replace(self._order, volts=volts)
+            self._order = replace(self._order, card=replace(self._order.card, park_v=volts))
             with suppress(OSError):  # it died: its replacement gets the order
                 self._process.send(json.dumps(asdict(self._order)))
 
