@@ -83,7 +83,7 @@ class StackMosaics(TrackedStack):
     Parameters
     ----------
     frames, calibration, plan, times_s, frame_numbers, finished
-        As of :class:`TrackedStack`.
+        As of :class:`TrackedStack`; times are by default those of the calibration's frame period, where it is known.
     checkpoint : callable
         Called whenever a frame is read; an exception raised in it ends the run.
 
@@ -108,6 +108,8 @@ class StackMosaics(TrackedStack):
     ) -> None:
         trackable = TrackableFrames(frames, checkpoint)
         trackable.require_contrast()
+        if times_s is None and calibration.frame_period_s is not None:
+            times_s = calibration.frame_period_s * np.arange(len(frames), dtype=np.float64)
         super().__init__(trackable, calibration, plan, times_s, frame_numbers, finished=finished)
 
     @property
