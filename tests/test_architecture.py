@@ -27,6 +27,7 @@ ORDER = (
     "processing.vectors",
     "processing.images",
     "processing.analysis",
+    "processing.calibration.line",
     "processing.calibration.bundle",
     "processing.calibration",
     "processing.axial",

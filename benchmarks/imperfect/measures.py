@@ -13,7 +13,7 @@ from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
 from napari_elsplus.processing.images.warping import polynomial_terms
 from napari_elsplus.simulation.axial_scan import lit_for_plate
-from napari_elsplus.simulation.calibration_scenes import background, line_volts
+from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.model.bundle import Cores
 from napari_elsplus.simulation.rendering.scan import Scan
 from napari_elsplus.simulation.rendering.views import views
@@ -144,7 +144,7 @@ class Error(NamedTuple):
 
 
 def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
-    """Error of the slit offset, rows, where the line stood when it was measured, at the calibration's own centres.
+    """Error of the slit offset, rows, at the calibration's own centres.
 
     A lens that distorts displaces the middle of a view from its central core, along a line that need not lie level.
     """
@@ -155,7 +155,7 @@ def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
 
 
 def true_offset_rows(rig: ImperfectRig, columns: tuple[float | None, float | None] = (None, None)) -> float:
-    """Return the slit offset, rows, from where the views show the cores on the line.
+    """Return the slit offset, rows, from where the views show the cores on a line through the middle of the bundle.
 
     Parameters
     ----------
@@ -165,7 +165,8 @@ def true_offset_rows(rig: ImperfectRig, columns: tuple[float | None, float | Non
         Column of the camera at which each view is looked at, by default where it shows the bundle's central core.
     """
     shown = views(rig.instrument)
-    volts = float(line_volts(rig.instrument)[0])
+    instrument = rig.instrument
+    volts = instrument.volts_at_row_zero + instrument.volts_per_row * instrument.confocal_centre[0]
     left, right = (
         _shown_row(rig, view, volts, column) for view, column in zip((shown.left, shown.right), columns, strict=True)
     )

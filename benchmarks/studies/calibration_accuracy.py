@@ -170,7 +170,7 @@ def errors_of(found: Draft, rig: Rig) -> Errors:
     errors: Errors = {}
     if found.offset is not None:
         offset = found.offset
-        errors[OFFSET] = [(offset.rows - rig.offset_rows(LINE_AT_ROW), offset.uncertainty_rows)]
+        errors[OFFSET] = [(offset.rows - rig.offset_rows(0.0), offset.uncertainty_rows)]
         errors[TILT] = [(offset.confocal.tilt_deg - rig.tilt_deg, offset.confocal.tilt_uncertainty_deg)]
     if found.galvo is not None:
         galvo, per_row = found.galvo, abs(rig.volts_per_row)

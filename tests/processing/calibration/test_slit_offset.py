@@ -9,6 +9,8 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
+from napari_elsplus.processing.calibration.calibrate import measure
+from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.line.location import locate_line
 from napari_elsplus.processing.calibration.slit_offset import (
     SEARCH_INTERVAL_FRAMES,
@@ -16,6 +18,9 @@ from napari_elsplus.processing.calibration.slit_offset import (
     measure_offset,
     parts_of,
 )
+from napari_elsplus.processing.calibration.summaries import summarize_pair
+from napari_elsplus.simulation.calibration_scenes import standing_line, transmission
+from napari_elsplus.simulation.model.instrument import Instrument, ResidualView
 
 RIG = Rig(left=(100.0, 98.0), right=(91.0, 302.5), diameter_px=180.0, line_rows=2.2, tilt_deg=1.0)
 
@@ -59,3 +64,20 @@ def test_a_line_whose_core_and_halo_are_fitted_as_one_has_no_halo() -> None:
     rig = Rig.draw(295)
     seen = np.mean(rig.line(row=1.3), axis=0)[:, :276] - rig.black_dn
     assert parts_of(locate_line(seen), seen) is None
+
+
+@pytest.mark.parametrize("beside_rows", [-20.0, 20.0])
+def test_the_offset_is_that_at_the_centres_where_views_differ_in_scale(beside_rows: float) -> None:
+    """A line 20 rows beside the centre gave an offset that was 0.6 rows off, and a note to measure it again."""
+    instrument = replace(Instrument.of("240hz"), residual_view=ResidualView(scale=1.03))
+    row = instrument.confocal_centre[0] + beside_rows
+    volts = np.full(3, instrument.volts_at_row_zero + instrument.volts_per_row * row)
+    draft = measure(
+        line=list(standing_line(instrument, volts, seed=71)), bundle=list(transmission(instrument, seed=72))[:4]
+    )
+    offset, pair = draft.calibration.offset, draft.pair
+    assert offset is not None
+    assert pair is not None
+    assert offset.rows == pytest.approx(instrument.offset_rows, abs=0.03)
+    warnings = summarize_pair(pair, draft, Setup(draft.calibration.frame)).warnings
+    assert not any("offsets differ" in warning for warning in warnings)

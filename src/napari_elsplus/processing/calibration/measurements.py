@@ -28,7 +28,8 @@ from napari_elsplus.processing.calibration.frame_regions import (
     unlit_pixels,
 )
 from napari_elsplus.processing.calibration.galvo import GalvoMap, fit_galvo, visible_line
-from napari_elsplus.processing.calibration.line.clipping import IN_PLACE, MAX_CLIPPED_CORE, clipped_share
+from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE, clipped_share
+from napari_elsplus.processing.calibration.line.view_offset import IN_PLACE
 from napari_elsplus.processing.images.resampling import crop_to_frame, cropped, within_frame
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.sectioning import Frames, Sectioner, disc
@@ -202,7 +203,7 @@ def map_galvo(
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=[] if pair is None else pair.discs)
     reference, place = RowReference(dark, background), pair or offset
-    collector = None if place is None else LightCollector(painted.shape, place.split, place.view_offset)
+    collector = None if place is None else LightCollector(painted.shape, place.split)
     max_chord_px = MAX_CHORD * (split - float(dark[0, :split].sum()) if pair is None else pair.confocal.diameter_px)
     every, noisy = -(-len(frames) // LIT_FRAMES), reference.some_show_noise(frames)
     lines, clipped = [], 0
@@ -213,11 +214,11 @@ def map_galvo(
         lines.append(line)
         if collector is None or place is None or line is None or number % every or line.length_px > max_chord_px:
             continue
-        if max(clipped_share(raw, white, line, each) for each in (IN_PLACE, place.view_offset)) > MAX_CLIPPED_CORE:
+        view_offset = place.view_offset(line)
+        if max(clipped_share(raw, white, line, each) for each in (IN_PLACE, view_offset)) > MAX_CLIPPED_CORE:
             clipped += 1
         else:
-            row = line.row - line.bow * line.mean_square_px
-            collector.add(frame, row, line.column, line.slope, line.bow, line.width_rows)
+            collector.add(frame, line, view_offset)
     column, diameter_px = (None, None) if pair is None else (pair.confocal.centre[1], pair.confocal.diameter_px)
     found = fit_galvo(volts, lines, column, diameter_px, max_chord_px)
     return found if collector is None else replace(found, light=collector.swept(dark, background, clipped))

@@ -25,6 +25,7 @@ from napari_elsplus.processing.calibration.galvo import visible_line
 from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE, clipped_share
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
+from napari_elsplus.processing.calibration.line.view_offset import ViewOffset
 from napari_elsplus.processing.images.row_reference import RowReference
 from napari_elsplus.processing.images.warping import polynomial_terms
 
@@ -81,11 +82,13 @@ class SlitOffset:
     parts: LineParts | None = None
     clipped: float = 0.0
 
-    @property
-    def view_offset(self) -> tuple[float, float, float]:
-        """Rows and columns of the frame from the line in the confocal view to the residual one; difference in slope."""
+    def view_offset(self, _line: Line | None = None) -> ViewOffset:
+        """Return the offset from a line in the confocal view to that in the residual one.
+
+        It is that of the measured line: without the bundle pair, the views are taken to have the same scale.
+        """
         columns = self.split + self.residual.column - self.confocal.column
-        return self.rows, columns, self.residual.slope - self.confocal.slope
+        return ViewOffset(self.rows, columns, self.residual.slope - self.confocal.slope)
 
     @property
     def lit_columns(self) -> list[tuple[int, int]]:
@@ -178,6 +181,9 @@ def _less(frame: NDArray[Any], background: Image | None) -> Image:
 def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     """Return a slit offset at the centres of a bundle pair, by the line and by the pair's cores.
 
+    The line may stand beside the centre: where the views differ in scale, the offset there differs from that at the
+    centre, by the cores.
+
     Both views show the same cores, so that where the residual view shows those under the confocal line, its own must
     be: unlike the line, they do not depend on the laser's power, of which a ripple at a multiple of the frame rate has
     one phase in all frames and moves the line in all of them alike. The line is therefore at least as uncertain as it
@@ -192,9 +198,10 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
         The bundle images; by their centres alone they do not show where the line is.
     """
     line = _of_lines(offset.confocal, offset.residual, offset.split, pair, offset.unsteady_rows)
-    line = replace(line, parts=offset.parts, clipped=offset.clipped)
-    rows, sigma_rows = _offset_of_cores(line, pair)
-    away_rows = line.rows - rows
+    centre, confocal, sigma_rows = pair.confocal.centre, line.confocal, pair.alignment.centre_uncertainty_px
+    row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
+    rows, away_rows = _offset_of_cores(line, pair, centre[0]), line.rows - _offset_of_cores(line, pair, row)
+    line = replace(line, rows=rows + away_rows, parts=offset.parts, clipped=offset.clipped)
     if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_DIFFERENCE_ROWS:
         return line
     variances = np.array((max(line.uncertainty_rows**2, away_rows**2 - sigma_rows**2), sigma_rows**2))
@@ -218,17 +225,15 @@ def _of_lines(
     return SlitOffset(rows, sigma, confocal, residual, split, unsteady_rows)
 
 
-def _offset_of_cores(line: SlitOffset, pair: BundlePair) -> tuple[float, float]:
-    """Return the slit offset, rows, of the cores under the confocal line, and one standard deviation."""
-    centre, alignment, confocal = pair.confocal.centre, pair.alignment, line.confocal
-    row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
+def _offset_of_cores(line: SlitOffset, pair: BundlePair, row: float) -> float:
+    """Return the slit offset, rows, of the cores under a confocal line on a row, parallel to a given one."""
+    centre, alignment = pair.confocal.centre, pair.alignment
     affine = alignment.residual_to_confocal
     at = np.linalg.solve(affine[:, :2], np.array((row, centre[1])) - affine[:, 2])
     if alignment.distortion is not None:
         place = (row - centre[0]) / (pair.confocal.diameter_px / 2)
         at = at + alignment.distortion @ polynomial_terms(np.array(place), np.zeros(()))
-    rows = at[0] + line.residual.slope * (pair.residual.centre[1] - at[1]) - row
-    return float(rows), alignment.centre_uncertainty_px
+    return float(at[0] + line.residual.slope * (pair.residual.centre[1] - at[1]) - row)
 
 
 class OffsetFollower:

@@ -14,6 +14,7 @@ import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
 from napari_elsplus.processing.calibration.bundle.gain import ratio_of_light
+from napari_elsplus.processing.calibration.line.view_offset import IN_PLACE, ViewOffset
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+    from napari_elsplus.processing.calibration.line.location import Line
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.float32]
@@ -60,7 +62,8 @@ MIN_RELATIVE_WEIGHT: Final = 0.3
 MAX_UNCOVERED: Final = 0.02
 """Of the typical weight; share of the disc that may have less. Chosen: the rim beyond the outermost whole lines."""
 MAX_OFFSET_CHANGE_ROWS: Final = 1.0
-"""Of the residual view since the sweep; chosen: a fraction of the line's width."""
+"""Of a line in the residual view, from where it was taken to be in the sweep to where the bundle pair has it; chosen: a
+fraction of the line's width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +76,15 @@ class SweptLight:
         (rows, cols) float32: light about the lines, above darkness; 0 where no line stood near.
     weight : numpy.ndarray
         (rows, cols) float32: sum of the windows by which the frames were weighted in `image`.
-    offset_rows : float
-        Of the line in the residual view, as used.
     lines : numpy.ndarray
-        (lines, 3) float64, by rows: row in the confocal view, light there, light in the residual view, above darkness.
+        (lines, 5) float64, by rows: row and column in the confocal view, rows from there to the residual view's line,
+        as used, and the light in both views, above darkness.
     clipped : int
         Lines that were left out, as their core is saturated.
     """
 
     image: Image
     weight: Image
-    offset_rows: float
     lines: Floats
     clipped: int = 0
 
@@ -108,7 +109,7 @@ class SweptLight:
         float
             0 by fewer than three lines.
         """
-        row, first, second = self.lines.T
+        row, _, _, first, second = self.lines.T
         radius_px = diameter_px / 2
         within = np.maximum((COMPARED_DISC * radius_px) ** 2 - np.square(row - centre_row), 0)
         light = first * np.sqrt(within / (within + (1 - COMPARED_DISC**2) * radius_px**2))
@@ -129,46 +130,41 @@ class LightCollector:
         Rows and columns of the frames.
     split : int
         Column between the views.
-    offset : tuple of float
-        Rows and columns from the line in the confocal view to that in the residual one, and by how many rows per
-        column its slope exceeds that in the confocal view.
 
     Notes
     -----
     The background is not taken off: it was scanned, and contains less light of the residual view than of the confocal.
     """
 
-    def __init__(self, shape: tuple[int, ...], split: int, offset: tuple[float, float, float]) -> None:
-        self._offset_rows = offset[0]
-        self._views = ((slice(0, split), 0.0, 0.0, 0.0), (slice(split, shape[1]), *offset))
+    def __init__(self, shape: tuple[int, ...], split: int) -> None:
+        self._views = slice(0, split), slice(split, shape[1])
         self._light, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._lines: list[tuple[float, ...]] = []
 
-    def add(
-        self, frame: NDArray[np.generic], row: float, column: float, slope: float, bend: float, width_rows: float
-    ) -> None:
-        """Add a frame whose confocal view shows the line at a row and column.
+    def add(self, frame: NDArray[np.generic], line: Line, view_offset: ViewOffset) -> None:
+        """Add a frame whose confocal view shows a line.
 
         Parameters
         ----------
         frame : numpy.ndarray
             (rows, cols), any real dtype.
-        row, column, slope, bend : float
-            Of the line in the confocal view; the slope in rows per column there, the bend in rows per squared column.
-        width_rows : float
-            Standard deviation of its Gaussian.
+        line : Line
+            In the confocal view.
+        view_offset : ViewOffset
+            From there to the line in the residual view.
         """
-        reach = REACH_WIDTHS * width_rows
-        found = [row]
-        for part, down, across, turn in self._views:
-            along = np.arange(part.start, part.stop) - column - across
-            line = (row + down + (slope + turn) * along + bend * np.square(along)).astype(np.float32)
-            first = max(int(line.min() - reach), 0)
-            band = slice(first, min(int(line.max() + reach) + 2, len(frame)))
+        row = line.row - line.bow * line.mean_square_px
+        found = [row, line.column, view_offset.rows]
+        for part, (down, across, turn, stretch) in zip(self._views, (IN_PLACE, view_offset), strict=True):
+            reach = REACH_WIDTHS * line.width_rows * stretch
+            along = np.arange(part.start, part.stop) - line.column - across
+            where = (row + down + (line.slope + turn) * along + line.bow * np.square(along)).astype(np.float32)
+            first = max(int(where.min() - reach), 0)
+            band = slice(first, min(int(where.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
                 found += [0.0, 0.0]
                 continue
-            weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - line
+            weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - where
             weight *= np.float32(1 / reach)
             np.square(weight, out=weight)
             np.square(weight, out=weight)  # flat in its middle
@@ -197,14 +193,16 @@ class LightCollector:
         dark, lit = unlit > 0, HotPixels(background).mended(self._light)
         level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
         image = lit - np.float32(level) * self._weight
-        row, *views = np.array(sorted(self._lines), np.float64).reshape(-1, 5).T
-        above_dark = [light - level * weight for weight, light in zip(views[::2], views[1::2], strict=True)]
-        return SweptLight(image, self._weight, self._offset_rows, np.stack([row, *above_dark], axis=1), clipped)
+        lines = np.array(sorted(self._lines), np.float64).reshape(-1, 7)
+        above_dark = lines[:, 4::2] - level * lines[:, 3::2]
+        return SweptLight(image, self._weight, np.hstack([lines[:, :3], above_dark]), clipped)
 
 
 def _sectioner(light: SweptLight, calibration: Calibration) -> Sectioner | None:
-    """Return the sectioner of a sweep's light; None if the residual view is not where it was in the sweep."""
-    if abs(light.offset_rows - calibration.measured_bundle.offset_rows) > MAX_OFFSET_CHANGE_ROWS:
+    """Return the sectioner of a sweep's light; None if the residual view is not where it was taken to be in it."""
+    affine, at = np.array(calibration.measured_bundle.residual_to_confocal), light.lines[:, :2].T
+    expected_rows = np.linalg.solve(affine[:, :2], at - affine[:, 2:])[0] - at[0]
+    if np.abs(light.lines[:, 2] - expected_rows).max(initial=0.0) > MAX_OFFSET_CHANGE_ROWS:
         return None
     return Sectioner(calibration.model_copy(update={"background": None}), light.image.shape)
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
+from napari_elsplus.processing.calibration.line.view_offset import ViewOffset
 from napari_elsplus.processing.images.cores import core_spacing_px
 from napari_elsplus.processing.images.sectioning import disc
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.calibration.bundle.location import Circle, Disc
     from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment
+    from napari_elsplus.processing.calibration.line.location import Line
 
     Image = NDArray[np.float32]
 
@@ -114,11 +116,18 @@ class BundlePair:
         """Column of the frame between the views."""
         return round((self.confocal.centre[1] + self.residual.centre[1]) / 2)
 
-    @property
-    def view_offset(self) -> tuple[float, float, float]:
-        """Rows and columns from the confocal to the residual image's centre; slope there of a level line."""
-        down, across = np.linalg.solve(self.alignment.residual_to_confocal[:, :2], (0.0, 1.0))
-        return self.offset_rows, self.residual.centre[1] - self.confocal.centre[1], float(down / across)
+    def view_offset(self, line: Line) -> ViewOffset:
+        """Return the offset from a line in the confocal view to that in the residual one.
+
+        Parameters
+        ----------
+        line : Line
+            In the confocal view. Where the views differ in scale, its row matters.
+        """
+        affine, at = self.alignment.residual_to_confocal, np.array((line.row, line.column))
+        down, across = np.linalg.solve(affine[:, :2], at - affine[:, 2]) - at
+        (stretch, by_column), (_, along) = np.linalg.inv(affine[:, :2])
+        return ViewOffset(float(down), float(across), float(by_column / along), float(stretch))
 
     @property
     def offset_rows(self) -> float:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.processing.calibration.line.view_offset import IN_PLACE, ViewOffset
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -15,13 +17,8 @@ MAX_CLIPPED_CORE: Final = 0.01
 """Largest saturated part of a line's core; measured on a plain model: with 0.01 to 0.02 the gain of the residual view
 is off by 0.0004, of which 0.0002 are stated, with 0.15 by 0.005. Hot pixels stay below."""
 
-IN_PLACE: Final = (0.0, 0.0, 0.0)
-"""Offset of a line from itself: rows, columns, slope."""
 
-
-def clipped_share(
-    frame: NDArray[Any], white: float, line: Line, view_offset: tuple[float, float, float] = IN_PLACE
-) -> float:
+def clipped_share(frame: NDArray[Any], white: float, line: Line, view_offset: ViewOffset = IN_PLACE) -> float:
     """Return the saturated part of the pixels within one standard deviation of a line.
 
     Parameters
@@ -32,8 +29,8 @@ def clipped_share(
         Grey level at which it is saturated.
     line : Line
         In the confocal view.
-    view_offset : tuple of float
-        Rows and columns from that line to the one whose pixels are counted; difference in slope, rows per column.
+    view_offset : ViewOffset
+        From that line to the one whose pixels are counted.
 
     Examples
     --------
@@ -43,7 +40,7 @@ def clipped_share(
     >>> clipped_share(line, 255, locate_line(line)), clipped_share(clipped, 255, locate_line(clipped))
     (0.0, 0.43)
     """
-    down, across, turn = view_offset
+    down, across, turn, _ = view_offset
     columns = np.arange(*line.columns)
     along, reach = columns - line.column, max(round(line.width_rows), 1)
     middle = line.row + down - line.bow * line.mean_square_px + (line.slope + turn + line.bow * along) * along
