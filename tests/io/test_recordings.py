@@ -8,6 +8,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
+import cv2
 import numpy as np
 import psutil
 import pytest
@@ -226,6 +227,29 @@ def test_frames_of_a_video_are_found_in_any_order(tmp_path, rate_hz, codec):
         order = [*range(count - 1, 0, -19), 0, 40, 45, 200, *np.random.default_rng(1).integers(0, count, 10)]
         assert [int(recording[k][0, 0]) for k in order] == order
         assert recording.metadata["frame_period_s"] == pytest.approx(1 / Fraction(rate_hz), rel=1e-6)
+
+
+def test_grey_frames_that_opencv_encoded_as_motion_jpeg_open(tmp_path):
+    """Its rounding tints grey by two levels, for which such videos were refused as in colour."""
+    frames = np.full((3, 48, 64), 90, np.uint8)
+    frames[:, 12:30, 20:40] = 180
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50, (64, 48))
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    with open_recording(tmp_path / "a.avi") as recording:
+        assert recording.shape == frames.shape
+        assert np.abs(recording[1].astype(int) - frames[1])[16:26, 24:36].max() <= 2
+
+
+def test_grey_levels_that_no_camera_delivers_are_refused(tmp_path):
+    """Their squares were infinite: warnings of the libraries on the terminal, and an image of nonsense."""
+    np.save(tmp_path / "a.npy", np.full((2, 40, 60), 1e30, np.float32))
+    with (
+        open_recording(tmp_path / "a.npy") as recording,
+        pytest.raises(InputError, match=r"frame 0 holds grey level 1e\+30"),
+    ):
+        recording[0]
 
 
 def test_frames_that_a_video_dropped_are_gaps_of_its_numbers(tmp_path):

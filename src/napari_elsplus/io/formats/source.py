@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 MAX_FRAME_BYTES: Final = 1 << 30
 """Chosen: fifty times a frame of a 20-megapixel camera; a header that declares more is refused as damaged or forged."""
 
+MAX_LEVEL: Final = 1e9
+"""Chosen: thousands of times what cameras deliver, of which sums of squares are finite as float32."""
+
 
 class FrameSource(ABC):
     """Frames of one format, read one at a time and from any thread.
@@ -79,7 +82,7 @@ class FrameSource(ABC):
         Raises
         ------
         InputError
-            If it cannot be decoded, differs in shape from the others, or holds NaN or infinity.
+            If it cannot be decoded, differs in shape from the others, or holds NaN, infinity or impossible grey levels.
         """
         with decoding(self.path, f"frame {index}"):
             image = self.frame(index)
@@ -90,8 +93,10 @@ class FrameSource(ABC):
                 )
             if self.stored_dtype.kind == "f":
                 image = image.astype(np.float32)
-                if not np.isfinite(image).all():
-                    raise InputError(f"{self.path.name}: frame {index} holds NaN or infinity", "use the raw frames")
+                largest = float(np.abs(image).max())
+                if not largest <= MAX_LEVEL:
+                    what = f"grey level {largest:.3g}" if isfinite(largest) else "NaN or infinity"
+                    raise InputError(f"{self.path.name}: frame {index} holds {what}", "use the raw frames")
             return np.asarray(image, self.dtype)
 
     def times_s(self) -> NDArray[np.float64] | None:
