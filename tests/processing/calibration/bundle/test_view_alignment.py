@@ -56,6 +56,13 @@ def test_map_model_and_gain_are_true(
     assert abs(found.gain / gain - 1) < max(0.002, 3 * found.gain_uncertainty)
 
 
+@pytest.mark.parametrize("turn_deg", [2.6, -4.0])
+def test_views_that_are_rotated_by_more_than_the_first_search_are_aligned(turn_deg: float) -> None:
+    """From 2.2 degrees on, they were refused as distorted where the first search found the middle alone."""
+    rig = Rig(left=(205.0, 203.0), right=(195.5, 618.3), diameter_px=390.0, turn_deg=turn_deg)
+    assert error_px(aligned(rig), rig) < 0.03
+
+
 def test_a_pair_that_is_sheared_is_aligned_as_such() -> None:
     class Sheared(Rig):
         @property

@@ -133,12 +133,13 @@ def align_views(
         If the two views show different cores, or saturation leaves no pixels for the gain.
     """
     views = _Views(np.asarray(image, np.float32), confocal, residual, saturated)
-    try:
-        return _core_alignment(views, _affine_fit(views.matcher))
-    except DifferentCoresError as refusal:
+    affine = _affine_fit(views.matcher, MAX_ROTATION_DEG)
+    if affine is None or affine.correlation < MIN_CLOSE:
         rotated = _affine_fit(views.matcher, MAX_SEARCHED_ROTATION_DEG)
-        if rotated is not None and rotated.correlation > MIN_CLOSE:
-            return _core_alignment(views, rotated)
+        affine = rotated if rotated is not None and rotated.correlation > MIN_CLOSE else affine
+    try:
+        return _core_alignment(views, affine)
+    except DifferentCoresError as refusal:
         unresolved = isinstance(refusal, UnresolvedCoresError) or not views.resolve_cores
         if not unresolved or min(confocal.edge_seen, residual.edge_seen) < MIN_CERTAIN_EDGE:
             raise
@@ -252,7 +253,7 @@ def _centre_alignment(views: _Views, refusal: str) -> Alignment:
     )
 
 
-def _affine_fit(matcher: CoreMatcher, rotation_deg: float = MAX_ROTATION_DEG) -> CoreFit | None:
+def _affine_fit(matcher: CoreMatcher, rotation_deg: float) -> CoreFit | None:
     """Return the affine fit within a rotation; None if it diverges, as it does on strongly distorted views."""
     try:
         return matcher.fit(matcher.start(rotation_deg=rotation_deg), AlignmentModel.AFFINE)
