@@ -71,7 +71,7 @@ def test_unmeasured_sections_are_absent_and_asked_for() -> None:
         (changed("bundle", confocal_centre=[float("nan"), 1]), "confocal_centre"),
         (changed("bundle", diameter_px=-4), "-4"),
         (changed("bundle", residual_gain=2.5), "2.5"),
-        (changed("bundle", residual_to_confocal=[[1, 0, 900], [0, 1, -323]]), "888.0 px away"),
+        (changed("bundle", residual_to_confocal=[[1, 0, 900], [0, 1, -323]]), "888 px away"),
         (changed("bundle", residual_to_confocal=[[0, 0, 12], [0, 0, -323]]), "no map"),
         (changed("galvo", volts_per_row=0), "volts_per_row is 0"),
         (changed("optics", line_period_s=float("inf")), "line_period_s"),
@@ -142,3 +142,11 @@ def test_optics_that_could_not_be_read_again_are_not_taken(um_per_px: float) -> 
     assert changed.um_per_px == 2.5
     assert changed.optics.line_period_s == calibration.optics.line_period_s
     assert calibration.with_optics(um_per_px=None).um_per_px is None
+
+
+def test_the_residual_disc_has_the_size_of_its_own_view() -> None:
+    """Light beyond a smaller one was taken for darkness beside the views."""
+    record = RECORD["bundle"] | {"residual_to_confocal": [[0.97, 0.0, 16.47], [0.0, 0.97, -308.57]]}
+    bundle = Calibration.parse(RECORD | {"bundle": record}).measured_bundle
+    assert bundle.discs[0] == ((161.0, 158.0), 290.0)
+    assert bundle.discs[1][1] == pytest.approx(290.0 / 0.97)

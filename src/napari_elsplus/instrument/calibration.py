@@ -31,9 +31,11 @@ DEFAULT_SLIT_ROWS: Final = 3.0
 DISTORTION_SHAPE = (2, 10)
 """Row and column, and the ten coefficients of a polynomial of third degree in two variables."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+MAX_NUMBER: Final = 1e9
+"""Chosen: far above any number of an instrument, and its powers are finite."""
+Finite = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Positive = Annotated[float, Field(gt=0, le=MAX_NUMBER)]
+NonNegative = Annotated[float, Field(ge=0, le=MAX_NUMBER)]
 Point = tuple[Finite, Finite]
 AffineRows = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 
@@ -167,7 +169,8 @@ class BundleSection(Section):
     @property
     def discs(self) -> list[tuple[Point, float]]:
         """Centre and diameter in pixels of both views."""
-        return [(centre, self.diameter_px) for centre in (self.confocal_centre, self.residual_centre)]
+        stretch = float(np.sqrt(abs(np.linalg.det(np.array(self.residual_to_confocal)[:, :2]))))
+        return [(self.confocal_centre, self.diameter_px), (self.residual_centre, self.diameter_px / stretch)]
 
     @model_validator(mode="after")
     def _maps_onto_the_confocal_image(self) -> Self:
@@ -178,7 +181,7 @@ class BundleSection(Section):
         miss = float(np.hypot(*(landed - self.confocal_centre)))
         if miss > 0.25 * self.diameter_px:
             raise ValueError(
-                f"residual_to_confocal puts the residual centre {miss:.1f} px away from the confocal centre"
+                f"residual_to_confocal puts the residual centre {miss:.6g} px away from the confocal centre"
             )
         return self
 

@@ -100,6 +100,5 @@ def summary(calibration: Calibration) -> str:
 
 
 def _outlines(bundle: BundleSection) -> list[NDArray[np.float64]]:
-    radius = bundle.diameter_px / 2
-    corners = radius * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
-    return [np.add(centre, corners) for centre, _ in bundle.discs]
+    corners = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
+    return [np.add(centre, diameter_px / 2 * corners) for centre, diameter_px in bundle.discs]

@@ -79,11 +79,7 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
     if bundle is None or not len(frames):
         return
     mean, factor = _reduced_mean(frames)
-    stretch = float(np.sqrt(abs(np.linalg.det(np.array(bundle.residual_to_confocal)[:, :2]))))
-    calibrated = (
-        ("confocal", bundle.confocal_centre, bundle.diameter_px),
-        ("residual", bundle.residual_centre, bundle.diameter_px / stretch),
-    )
+    calibrated = [(view, *disc) for view, disc in zip(("confocal", "residual"), bundle.discs, strict=True)]
     places = [((np.array(centre) + 0.5) / factor - 0.5, size_px / factor) for _, centre, size_px in calibrated]
     if all(_edge_share(mean, *place, 0.0) >= MIN_EDGE_SHARE for place in places):
         return
