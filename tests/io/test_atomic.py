@@ -76,6 +76,16 @@ def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
+def test_a_folder_that_is_no_zarr_is_not_replaced_whatever_its_name(tmp_path):
+    """It was removed with all that was in it."""
+    folder = tmp_path / "patients.zarr"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("of the day")
+    with pytest.raises(InputError, match="no Zarr that could be replaced"), replacing(folder, force=True):
+        pass
+    assert names(folder) == ["notes.txt"]
+
+
 def test_several_files_of_one_result_are_refused_together(tmp_path):
     (tmp_path / "b").write_text("mine")
     with pytest.raises(InputError, match="b exists"), replacing_all(tmp_path / "a", tmp_path / "b"):
@@ -93,7 +103,8 @@ def test_a_folder_replaces_a_file_or_a_folder(tmp_path):
         with replacing(tmp_path / "image.zarr", force=True) as beside:
             beside.mkdir()
             (beside / text).write_text(text)
-    assert names(tmp_path / "image.zarr") == ["new"]
+            (beside / "zarr.json").write_text("{}")
+    assert names(tmp_path / "image.zarr") == ["new", "zarr.json"]
 
 
 @pytest.mark.parametrize("existing", [True, False])

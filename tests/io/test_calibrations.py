@@ -152,6 +152,8 @@ BAD = {
     "no napari-elsplus/calibration record": "[]",
     "version 999": '{"version": 999}',
     "residual_gain": json.dumps(FULL | {"bundle": FULL["bundle"] | {"residual_gain": 3.0}}),
+    "diameter_px": json.dumps(FULL | {"bundle": FULL["bundle"] | {"diameter_px": 1e308}}),
+    "um_per_px": json.dumps(FULL | {"optics": {"um_per_px": 1e308}}),
     "c.json is no calibration": "not json",
     "is no calibration": "[" * 100_000,
     "Expecting value": "",
@@ -173,6 +175,15 @@ def test_files_that_are_no_text_missing_or_huge(tmp_path):
     for path in ("b.json", "huge.json", "absent.json", "."):
         with pytest.raises(CalibrationError):
             read_calibration(tmp_path / path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_pipe_or_a_device_is_not_waited_for(tmp_path):
+    """A pipe that nobody writes to was waited for without end, and of a device all memory was filled."""
+    os.mkfifo(tmp_path / "pipe.json")
+    for path in (tmp_path / "pipe.json", "/dev/zero"):
+        with pytest.raises(CalibrationError, match="is no file"):
+            read_calibration(path)
 
 
 def pickled(path):

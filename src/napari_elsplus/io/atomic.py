@@ -15,6 +15,9 @@ from napari_elsplus.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+ZARR_MARKERS = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
+"""Files by which a folder is a Zarr group or array."""
+
 
 def real_path(path: str | os.PathLike[str]) -> Path:
     """Return the absolute path of a file without links; also of links in a circle, at which `Path.resolve` fails.
@@ -50,8 +53,8 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
         raise InputError(f"{path}: the folder {path.parent} may not be written", "name another output")
     if os.path.lexists(path) and not force:
         raise InputError(f"{path} exists", "give --force to replace it, or name another output")
-    if path.is_dir() and path.suffix != ".zarr":
-        raise InputError(f"{path} is a folder", "name a file")
+    if path.is_dir() and not (path.suffix == ".zarr" and (path.is_symlink() or _is_zarr(path))):
+        raise InputError(f"{path} is a folder, and no Zarr that could be replaced", "name another output")
     if path.exists() and not path.is_dir() and not path.is_file():
         raise InputError(f"{path} is a device or a pipe", "name a file")
 
@@ -238,6 +241,10 @@ def _flush_folder(folder: Path) -> None:
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _is_zarr(folder: Path) -> bool:
+    return any((folder / marker).is_file() for marker in ZARR_MARKERS)
 
 
 def _remove(path: Path) -> None:

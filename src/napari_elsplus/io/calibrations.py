@@ -173,6 +173,8 @@ def format_calibration(calibration: Calibration, indent: int | None = None, arra
 def _read_text(path: Path) -> str:
     try:
         size = path.stat().st_size
+        if not path.is_file():
+            raise CalibrationError(f"{path.name} is no file", "name the .json file that `calibrate` wrote")
         if size > MAX_JSON_BYTES:
             raise CalibrationError(f"{path.name} has {size} bytes", "name the .json file that `calibrate` wrote")
         return path.read_text(encoding="utf-8-sig")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.io.atomic import ZARR_MARKERS
 from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.ome_tiff import TILE_PX, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
@@ -200,5 +201,5 @@ OME_ZARR: Final = FileFormat(
     filler=fill_ome_zarr,
     pyramid_writer=write_ome_zarr_pyramid,
     written_suffixes=(".ome.zarr", ".zarr"),
-    folder_markers=("zarr.json", ".zgroup", ".zarray", ".zattrs"),
+    folder_markers=ZARR_MARKERS,
 )
