@@ -53,6 +53,7 @@ def test_contact_that_was_not_seen_is_noted_unless_depths_count_from_it(first_um
 
 
 def test_contact_that_was_passed_needs_no_note() -> None:
-    depths = np.r_[np.arange(-40.0, 800.0, 4.0), np.arange(800.0, -41.0, -4.0)]
+    there = np.r_[np.arange(-40.0, -1.0, 4.0), np.arange(-1.0, 1.0, 0.5), np.arange(1.0, 800.0, 4.0)]
+    depths = np.r_[there, there[::-1]]
     ls = 100 / (1 + np.abs(depths) / 60)
     assert axial_notes(axial_response(depths, ls, ls - 80 / (1 + (depths / 30) ** 2))) == []

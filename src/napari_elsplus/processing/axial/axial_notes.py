@@ -107,7 +107,9 @@ def uncertainty_note(response: AxialResponse) -> str:
         return ""
     remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
     # Between depths far apart the bend of the curve counts as scatter, too: finer steps reduce both.
-    if least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
+    if least.uncertainty_um**2 < 2 * response.contact_uncertainty_um**2:
+        remedy = "contact lies between two depths: record at finer steps about it"
+    elif least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
         depths = f"{least.depths} {'depth' if least.depths == 1 else 'depths'}"
         level = "3 dB" if least is response.els_3db else "10 dB"
         remedy = f"{depths} near the {level} point: record at steps of at most {least.max_step_um:.2g} um there"

@@ -7,7 +7,7 @@ contact measure the optical sectioning.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, log
+from math import ceil, log, sqrt
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -58,7 +58,10 @@ class AxialResponse:
     depth_um : numpy.ndarray
         Depths (depths,) in increasing order, each once.
     contact_um : float
-        Depth at which the plate is in contact: the maximum of the confocal signal.
+        Depth at which the plate is in contact: that recorded one at which the confocal signal is largest.
+    contact_uncertainty_um : float
+        Its standard deviation by the steps of the depths, part of that of each distance; 0 where contact is the first
+        depth, at which it is known, or else assumed.
     ls, residual, els : numpy.ndarray
         Normalised curves: LS and residual over LS in contact, ELS+ over ELS+ in contact.
     ls_3db, ls_10db, els_3db, els_10db : DropOff
@@ -79,6 +82,7 @@ class AxialResponse:
 
     depth_um: Curve
     contact_um: float
+    contact_uncertainty_um: float
     ls: Curve
     residual: Curve
     els: Curve
@@ -150,6 +154,7 @@ class AxialResponse:
             "signal_kept": self.signal_kept,
             "signal_kept_uncertainty": self.signal_kept_uncertainty,
             "contact_um": self.contact_um,
+            "contact_uncertainty_um": self.contact_uncertainty_um,
             "light_lost": None if self.loss is None else self.loss.share,
             "light_lost_uncertainty": None if self.loss is None else self.loss.share_uncertainty,
             "black_level_subtracted_dn": 0.0 if self.black is None else self.black.dn,
@@ -270,9 +275,14 @@ def axial_response(
     changes = [float(np.nan_to_num(abs(other.um - drop.um))) for drop, other in zip(drops, others, strict=True)]
     if loss is not None:
         drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
+    depth = of_ls.depth
+    step_um = float(depth[contact + 1] - depth[contact - 1]) / 2 if contact else 0.0
+    contact_uncertainty_um = step_um / sqrt(12)  # anywhere within half a step
+    drops = [drop.with_systematic(contact_uncertainty_um) for drop in drops]
     return AxialResponse(
-        depth_um=of_ls.depth,
-        contact_um=float(of_ls.depth[contact]),
+        depth_um=depth,
+        contact_um=float(depth[contact]),
+        contact_uncertainty_um=contact_uncertainty_um,
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,
