@@ -292,6 +292,20 @@ def test_a_disk_that_fails_while_it_is_flushed_is_said_at_the_next_frame(tmp_pat
         np.testing.assert_array_equal(recording[:], [frame(0)])
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a file that is open cannot be removed there")
+def test_a_recording_that_is_removed_while_it_is_written_ends_with_its_number_of_frames(tmp_path, monkeypatch):
+    """Its cut to whole pages failed for want of the file, and the number was lost."""
+    monkeypatch.setattr("napari_elsplus.io.recorder.FLUSH_PERIOD_S", 0.01)
+    writer = RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8)
+    writer.append(frame(0), 0.0, 0)
+    (tmp_path / "r.ome.tif").unlink()
+    writer._flusher.join(timeout=10)
+    with pytest.raises(FileNotFoundError, match="ended after 1 frames"):
+        writer.append(frame(1), 0.1, 1)
+    writer.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="there is no such call")
 def test_a_disk_that_failed_after_the_last_frame_is_said_at_the_end_and_the_file_is_whole(tmp_path, monkeypatch):
     """Before: a system reports a lost write once; the flush beside had swallowed it, and the end was well."""

@@ -169,7 +169,8 @@ class RecordingWriter(ClosedOnExit):
                 write_at(self._file, *self._layout.link(index))
         except OSError as error:
             self._close_file()
-            self._cut_to_whole_pages()
+            if not index:
+                self._remove()
             raise OSError(
                 error.errno, f"the recording ended after {index} frames ({error.strerror})", str(self.path)
             ) from error
@@ -188,7 +189,8 @@ class RecordingWriter(ClosedOnExit):
             ome.put_into_first_page(self.path, (len(self), *self.frame_shape), self.dtype, self._metadata())
             self._flush()
         except OSError:
-            self._cut_to_whole_pages()
+            with suppress(FileNotFoundError):
+                os.truncate(self.path, self._layout.start(len(self)))
             raise
         if (failed := self._flush_failed) is not None:  # a system tells of a write that was lost only once
             problem = f"some of the recording may not have reached the disk ({failed.strerror})"
@@ -208,7 +210,7 @@ class RecordingWriter(ClosedOnExit):
         self._flusher.join()
         if file is not None:
             with suppress(OSError):
-                file.truncate(file.seek(0, os.SEEK_END))  # gives back what is reserved
+                file.truncate(self._layout.start(len(self)))  # whole pages; gives back what is reserved
             file.close()
 
     def _reserve(self, end: int) -> None:
@@ -217,12 +219,6 @@ class RecordingWriter(ClosedOnExit):
         if end > self._reserved and fallocate is not None and self._file is not None:
             fallocate(self._file.fileno(), _KEEP_SIZE, self._reserved, RESERVED_BYTES)
             self._reserved += RESERVED_BYTES
-
-    def _cut_to_whole_pages(self) -> None:
-        if self._times_s:
-            os.truncate(self.path, self._layout.start(len(self)))
-        else:
-            self._remove()
 
     def _remove(self) -> None:
         for file in self._files:

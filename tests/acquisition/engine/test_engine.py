@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -161,6 +163,23 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(
     assert "No space left" in fault.problem
     with open_recording(tmp_path / "r.ome.tif") as recording:
         assert len(recording) == 9
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a file that is open cannot be removed there")
+def test_a_recording_whose_folder_is_removed_is_not_said_to_be_readable(engine: Engine, tmp_path: Path) -> None:
+    """The user was told to free some disk space, and that what was written is readable."""
+    folder = tmp_path / "session"
+    folder.mkdir()
+    engine.start()
+    engine.record(RecordingPlan(folder / "r.ome.tif"))
+    until(lambda: engine.status().recorded > 5)
+    shutil.rmtree(folder)
+    until(lambda: bool(engine.status().faults))
+    (fault,) = engine.status().faults
+    assert fault.source == "recorder"
+    assert "ended after" in fault.problem
+    assert "was removed" in fault.remedy
+    assert "readable" not in fault.remedy
 
 
 def test_a_recorder_that_fails_completes_its_file(

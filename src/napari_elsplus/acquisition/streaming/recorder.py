@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.instrument.calibration import Calibration
 
+FULL_DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""By which a system tells that a disk, a user's share of it, or a file is full."""
 _POLL_S: Final = 0.1
 """Chosen: how long to wait for a frame before the end of the stream is tested."""
 _BATCH: Final = 4
@@ -159,11 +162,8 @@ class Recorder(Thread):
             finally:
                 self._writer.close()
         except OSError as error:
-            reason = error.strerror or str(error)
-            self._faults.add(
-                "recorder",
-                DeviceError(f"{self.plan.path.name}: {reason}", "free some disk space; what was written is readable"),
-            )
+            problem = f"{self.plan.path.name}: {error.strerror or error}"
+            self._faults.add("recorder", DeviceError(problem, _remedy(error, self.plan.path)))
         except Exception as error:  # noqa: BLE001 - never silently dead
             self._faults.add("recorder", error)
         finally:
@@ -189,3 +189,11 @@ class Recorder(Thread):
             self._span = first, stamp, len(self._writer)
             self._tally.recorded += 1
             self._tally.skipped("recorder slow", self._cursor.skipped)
+
+
+def _remedy(error: OSError, path: Path) -> str:
+    """Return what the user can do about an error of the disk that has ended a recording."""
+    if not path.exists():
+        return f"{path} was removed or its disk taken away, and with it what was recorded: record it again"
+    what = "free some disk space" if error.errno in FULL_DISK_ERRORS else "test the disk, or record to another"
+    return f"{what}; what was written is readable"
