@@ -82,7 +82,7 @@ def dry_run(card: CardSettings, limits: GalvoLimits) -> Iterator[str]:
                 last = _ramps(scanner)
                 scanner.check()
                 scanner.park()
-            ramps = last.count - first.count
+            ramps = last.begun - first.begun
             least, most = (last.before_s - first.after_s) * rate_hz, (last.after_s - first.before_s) * rate_hz
             pulses_of = f"{(least + most) / 2:.1f} pulses of {counter}"
             yield f"{chosen.name}: {ramps} ramps in {(least + most) / 2 / rate_hz:.3f} s, {pulses_of}"
@@ -131,7 +131,7 @@ def parking(rig: Rig) -> Iterator[str]:
 class _Ramps(NamedTuple):
     """Ramps that the card had begun at some time between two."""
 
-    count: int
+    begun: int
     before_s: float
     after_s: float
 
