@@ -212,6 +212,16 @@ def test_a_probe_that_turns_is_followed(path: Turning, name: str) -> None:
     assert np.abs(seen.found_px - (place - place[0]) @ turned_by(-angle[0]).T).max() < 1.0
 
 
+def test_displacements_of_a_probe_that_turns_are_as_exact_as_stated() -> None:
+    """The rotation is estimated at half resolution: what that makes of the shift is less exact than the shift was."""
+    path = Turning(HandHeld(1500.0, seed=2), 10.0)
+    pipeline, times, place = seen = followed(path, "fibres", 40)
+    moved = np.diff((place - place[0]) @ turned_by(-path.angles_rad(times)[0]).T, axis=0)
+    error = np.hypot(*(np.diff(seen.found_px, axis=0) - moved).T)
+    assert np.median(error) < 0.045
+    assert np.sqrt(np.mean((error / [row.sigma_px for row in pipeline.rows[1:]]) ** 2)) < 0.7
+
+
 def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:
     pipeline, _, _ = followed(HandHeld(3000.0, seed=2), "fibres", 30)
     assert {pose.angle for pose in pipeline.poses} == {0.0}

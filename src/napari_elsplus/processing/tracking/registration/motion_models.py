@@ -65,7 +65,8 @@ class Remainder(NamedTuple):
     Parameters
     ----------
     step : numpy.ndarray
-        (5,): change of a, b, s, d and of rows per column, which is the rotation in radians.
+        (5,): change of a, b, s, d that follows from the rotation, and that of rows per column, which is the rotation in
+        radians.
     sigma : float
         Standard deviation of the rotation, radians.
     values : float
@@ -216,6 +217,10 @@ def score_rotation(
     if not lucas_kanade.solve(normal, right, TONE, work.schur):
         return nothing
     sigma, values = np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS]), count / (CORRELATED_PX / 4)
+    for i in range(UNKNOWNS - 1, -1, -1):  # by how much the others change with it: each was registered finely without
+        right[i] = 0.0
+        for k in range(i + 1, UNKNOWNS + 1):
+            right[i] -= normal[i, k] * right[k] / normal[i, i]
     return right[2], 2 * right[3], right[4], 2 * right[5], right[UNKNOWNS], sigma, values
 
 
