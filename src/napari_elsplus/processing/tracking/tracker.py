@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from math import hypot, isnan, nan, sqrt
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.prediction import AT_REST, MIN_SHARE, MIN_SHARE_TURNING, Motion, Turning
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
-from napari_elsplus.processing.tracking.registration.motion_models import ModelSelection, MotionModel
+from napari_elsplus.processing.tracking.registration.motion_models import ModelSelection, MotionModel, selected_model
 from napari_elsplus.processing.tracking.registration.pair_registration import (
     MIN_ODDS_NATS,
     PairRegistration,
@@ -28,7 +30,6 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.grid import Grid
@@ -47,6 +48,8 @@ falls by more than it scatters, as it does when a probe begins to turn."""
 _UNEVEN_PX: Final = 0.2
 """Standard deviation of a displacement by uneven motion, pixels, from which that is estimated; chosen: a third of the
 largest that is accepted."""
+_LARGE_TURN: Final = 0.07
+"""Rotation between first frames, radians, at which one is sought that is too large to be measured from none; chosen."""
 _WAITING_ODDS_NATS: Final = 0.0
 """Odds from which a first registration waits for the next one: it is more probable than not."""
 
@@ -97,6 +100,7 @@ class Tracker:
     def __init__(self, grid: Grid, registrar: Registrar | None = None, turn_rate: float | None = None) -> None:
         self.grid = grid
         self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
+        self._middle_px2 = (FIELD * grid.diameter / 4) ** 2
         self.registrar = registrar or Registrar(grid)
         self.links: list[TrackedPair] = []
         self.lost: dict[int, int] = {}
@@ -310,13 +314,33 @@ class Tracker:
     ) -> PairRegistration | None:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
+        first = turn is None and not self._motion.known and self.registrar.registers_warps
         for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
-            link = self.registrar.register(
-                earlier.view, here.view, motion, self._min_correlation(True), anywhere=anywhere, turn=turn
-            )
-            if link is None or link.odds < min_odds_nats or link.correlation < self._min_correlation(link.high_passed):
+            least = 0.0 if first else self._min_correlation(True)
+            link = self.registrar.register(earlier.view, here.view, motion, least, anywhere=anywhere, turn=turn)
+            if link is None or link.odds < min_odds_nats:
                 continue
-            return link
+            link = (self._turned_much(earlier, here, link, motion) if first else None) or link
+            if link.correlation >= self._min_correlation(link.high_passed):
+                return link
+        return None
+
+    def _turned_much(
+        self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior
+    ) -> PairRegistration | None:
+        """Return a first registration with rotation, if that is significant by itself: none may follow without it."""
+        found = self.registrar.remainder(earlier.view, here.view, link.warp, motion.spread)
+        if found is None or selected_model([found]) is MotionModel.TRANSLATION:
+            return None
+        apart = here.period - earlier.period
+        for angle in (-float(found.step[-1]), -_LARGE_TURN, _LARGE_TURN):
+            turn = Turn(angle, frames_apart=apart)
+            again = self.registrar.register(earlier.view, here.view, motion, anywhere=True, turn=turn)
+            if again is not None and again.observed and again.tells_turn:
+                if selected_model([found._replace(step=np.full(5, again.turn), sigma=again.turn_sigma)]):
+                    self._selection.model, self._turning.rate = MotionModel.RIGID, again.turn / apart
+                    return again
+                break
         return None
 
     def _expected_turn(self, earlier: _Placed, here: _Placed) -> Turn:
@@ -348,15 +372,19 @@ class Tracker:
             moved = shutter.displacement(link.warp, link.velocity)
         after, here.velocity_variance = link.velocity, link.velocity_variance
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
+        here.angle, here.velocity = earlier.angle + link.turn, after
+        turned = here.angle - self._last.angle
+        if self.model is not MotionModel.TRANSLATION:
+            # a turn within a frame displaces its middle: where it sets in, that of one frame alone
+            uneven_px += self._middle_px2 / shutter.line_periods_per_frame * abs(turned / gap - self._turning.rate)
         here.sigma = hypot(link.sigma, uneven_px, by_velocity * here.velocity_variance**0.5)
         if here.sigma > self.registrar.max_sigma_px:
             return False
         if not self._motion.known:
             earlier.velocity, earlier.velocity_variance = after, here.velocity_variance
-        here.angle, here.velocity = earlier.angle + link.turn, after
         here.at = earlier.at + rect(1, here.angle) * complex(*moved)
         if self.model is not MotionModel.TRANSLATION:
-            self._turning.follow(here.angle - self._last.angle, gap)
+            self._turning.follow(turned, gap, link.turn_sigma)
         self._motion.follow(here.velocity, here.velocity_variance, successive=gap == 1)
         self.links.append(TrackedPair(earlier.index, here.index, moved, link, here.period - earlier.period))
         return True

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import (
 )
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar, Turn
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, Still, Turning
-from simulated import followed
+from simulated import INSTRUMENT, followed
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
 LOOSE = 0.02
@@ -212,14 +214,49 @@ def test_a_probe_that_turns_is_followed(path: Turning, name: str) -> None:
     assert np.abs(seen.found_px - (place - place[0]) @ turned_by(-angle[0]).T).max() < 1.0
 
 
+@dataclass(frozen=True)
+class SetsIn:
+    """A rotation that sets in, at once, while a frame is read."""
+
+    turning: Turning
+    time_s: float
+
+    def positions_um(self, times_s: np.ndarray) -> np.ndarray:
+        return self.turning.positions_um(times_s)
+
+    def angles_rad(self, times_s: np.ndarray) -> np.ndarray:
+        return self.turning.angles_rad(np.clip(times_s - self.time_s, 0.0, None))
+
+
+def stepwise(path: Turning | SetsIn, name: str, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the displacements between successive frames, all tracked in one segment, and what they state; px."""
+    pipeline, times, place = seen = followed(path, name, frames)
+    assert {(row.state, row.segment) for row in pipeline.rows} == {("tracked", 0)}
+    moved = np.diff((place - place[0]) @ turned_by(-path.angles_rad(times)[0]).T, axis=0)
+    return np.hypot(*(np.diff(seen.found_px, axis=0) - moved).T), np.array([row.sigma_px for row in pipeline.rows[1:]])
+
+
 def test_displacements_of_a_probe_that_turns_are_as_exact_as_stated() -> None:
     """The rotation is estimated at half resolution: what that makes of the shift is less exact than the shift was."""
-    path = Turning(HandHeld(1500.0, seed=2), 10.0)
-    pipeline, times, place = seen = followed(path, "fibres", 40)
-    moved = np.diff((place - place[0]) @ turned_by(-path.angles_rad(times)[0]).T, axis=0)
-    error = np.hypot(*(np.diff(seen.found_px, axis=0) - moved).T)
+    error, stated = stepwise(Turning(HandHeld(1500.0, seed=2), 10.0), "fibres", 40)
     assert np.median(error) < 0.045
-    assert np.sqrt(np.mean((error / [row.sigma_px for row in pipeline.rows[1:]]) ** 2)) < 0.7
+    assert np.sqrt(np.mean((error / stated) ** 2)) < 0.7
+
+
+@pytest.mark.parametrize(("degrees", "largest_px"), [(3.0, 0.15), (-5.0, 0.25)])
+def test_a_probe_that_turns_by_degrees_a_frame_is_one_segment(degrees: float, largest_px: float) -> None:
+    """Without rotation the second frame hardly fits the first one, and no third one."""
+    error, stated = stepwise(Turning(HandHeld(1500.0, seed=2), degrees * INSTRUMENT.optics.frame_rate_hz), "nuclei", 16)
+    assert error.max() < largest_px
+    assert np.sqrt(np.mean((error / stated) ** 2)) < 1.0
+
+
+def test_a_rotation_that_sets_in_within_a_frame_shows_in_the_uncertainty() -> None:
+    """Rows of that frame are displaced by a turn that those of the frame before have not."""
+    turning = Turning(HandHeld(1500.0, seed=2), 2.0 * INSTRUMENT.optics.frame_rate_hz)
+    error, stated = stepwise(SetsIn(turning, 12.0 * INSTRUMENT.optics.frame_period_s), "nuclei", 24)
+    assert error.max() > 0.1
+    assert (error / stated).max() < 3
 
 
 def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:

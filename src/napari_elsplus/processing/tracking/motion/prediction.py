@@ -249,7 +249,7 @@ class Turning:
     --------
     >>> turning = Turning()
     >>> for _ in range(20):
-    ...     turning.follow(0.002, 1)
+    ...     turning.follow(0.002, 1, 0.0002)
     >>> round(turning.rate, 4), turning.spread(1) < 0.001
     (0.002, True)
     """
@@ -258,8 +258,8 @@ class Turning:
         self.rate = rate
         self.surprise = max(surprise, _FIRST_TURN)
 
-    def follow(self, turned: float, frames: int) -> None:
-        """Add a rotation.
+    def follow(self, turned: float, frames: int, sigma: float) -> None:
+        """Add a rotation; the rate follows it the more, the more of the recent surprise is not uncertainty.
 
         Parameters
         ----------
@@ -267,10 +267,13 @@ class Turning:
             Radians.
         frames : int
             Frame periods within which the probe rotated.
+        sigma : float
+            Standard deviation of the rotation, radians.
         """
         miss = turned / frames - self.rate
         self.surprise += _MEMORY * (abs(miss) - self.surprise)
-        self.rate += _MEMORY * miss
+        uncertain = (sigma / frames) ** 2 / (pi / 2 * self.surprise**2 + _LEAST_TURN**2)
+        self.rate += max(_MEMORY, 1 - uncertain) * miss
 
     def spread(self, frames: int) -> float:
         """Return the standard deviation of the turn within so many frames about what is expected."""

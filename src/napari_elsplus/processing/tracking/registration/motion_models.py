@@ -123,17 +123,22 @@ def unsheared(velocity: Velocity, line_periods_per_frame: float) -> Matrix:
     return np.array([[1 + velocity.row / line_periods_per_frame, 0.0], [velocity.col / line_periods_per_frame, 1.0]])
 
 
-def turned_while_read(turn: float, warp: Warp) -> Matrix:
+def turned_while_read(rate: float, warp: Warp, turn: float, diameter: float) -> Matrix:
     """Return what a steady rotation while frames are read adds to the coordinates of the earlier one, (2, 3).
 
-    A frame read at a turn of w a row displaces (y, x) by w y (-x, y). Between two that are shifted this is affine.
+    A frame read at a turn of w a row displaces (y, x) by w y (-x, y). Between two that are shifted this is affine;
+    between two of different angles its mean over the disc is turned besides.
 
     Parameters
     ----------
-    turn : float
+    rate : float
         Radians per row of the grid.
     warp : Warp
         From the earlier to the later frame, of which the shift is used.
+    turn : float
+        Angle of the later frame less that of the earlier one, radians.
+    diameter : float
+        Of the disc, pixels.
 
     Returns
     -------
@@ -141,7 +146,9 @@ def turned_while_read(turn: float, warp: Warp) -> Matrix:
         Matrix of (row, col, 1).
     """
     y, x = -warp.b, -warp.d
-    return turn * np.array([[-x, -y, x * y], [2 * y, 0.0, -y * y]])
+    mean = (diameter / 4) ** 2
+    down, across = mean * np.sin(turn), mean * (np.cos(turn) - 1)
+    return rate * np.array([[-x, -y, x * y + down], [2 * y, 0.0, across - y * y]])
 
 
 def composed(warp: Warp, step: Matrix) -> tuple[Warp, float]:

@@ -329,7 +329,8 @@ class Registrar:
         warp, start, searches = motion.warp, None, anywhere
         unsheared = motion_models.unsheared(before, rows)
         for _ in range(_TURNS):
-            while_read = motion_models.turned_while_read(turn / expected.frames_apart / rows, warp)
+            rate = turn / expected.frames_apart / rows
+            while_read = motion_models.turned_while_read(rate, warp, turn, self._tools.diameter)
             matrix = motion_models.turned_by(-turn) @ unsheared + while_read[:, :2]
             motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix, while_read[:, 2])
             upright = self.prepare(scratch)
