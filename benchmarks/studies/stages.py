@@ -79,7 +79,6 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
             registrar.begin()
             start = clock()
             image = front_end.image(frame, tracker.slot())
-            front_end.blank(frame)
             made = clock()
             pose = tracker.add()
             tracked = clock()

@@ -282,6 +282,20 @@ def test_overexposed_frames_are_not_tracked_by_the_cores(dtype: type, limit: int
     assert {row.state for row in track(replace(truth, frames=frames)).rows[1:]} == {"lost"}
 
 
+def test_frames_a_third_saturated_are_tracked_where_the_background_shows_the_cores() -> None:
+    """The cores that are saturated stand still; with what they lack estimated they do not."""
+    truth = record(texture(1000, 4), smooth_path(20, 5.0, 1000, 4))
+    glow = 0.1 * (record(np.ones((600, 600), np.float32), np.full((2, 2), 300.0), haze=0.0).frames[0] - 4.0)
+    frames = np.rint(np.minimum(1.8 * (truth.frames - 4.0) + 4.0 + glow, 255)).astype(np.uint8)
+    calibration = truth.calibration.model_copy(update={"background": (4.0 + glow).astype(np.float32)})
+    seen = replace(truth, frames=frames, calibration=calibration)
+    pipeline = track(seen)
+    assert {row.state for row in pipeline.rows} == {"tracked"}
+    pair, _ = errors(pipeline, seen)
+    assert pair.max() < 0.12
+    assert np.sqrt(np.mean((pair / [row.sigma_px for row in pipeline.rows[1:]]) ** 2)) < 1.2
+
+
 def test_one_frame_is_a_track_of_one() -> None:
     truth = record(texture(600, 7), np.full((2, 2), 300.0))
     pipeline = track(truth)

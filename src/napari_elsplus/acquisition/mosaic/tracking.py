@@ -315,7 +315,7 @@ class LiveTrack:
 
 
 def warm_up(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:
-    """Process frames of motion, a jump, darkness, light again and a lone fibre, so that all kernels are compiled.
+    """Process frames of motion, a jump, darkness, light again, too much of it and a lone fibre: compile all kernels.
 
     Parameters
     ----------
@@ -330,6 +330,7 @@ def warm_up(pipeline: Pipeline, frame_shape: tuple[int, int]) -> None:
     texture = cv2.normalize(cv2.GaussianBlur(texture, (0, 0), 6), None, 0, 200, cv2.NORM_MINMAX)
     dark = np.zeros(frame_shape, np.uint8)
     moving = [texture[top : top + rows] for top in (0, 3, 7, 12, 120, 124, 128)]
+    moving[-1] = np.where(moving[-1] > np.percentile(moving[-1], 95), np.uint8(255), moving[-1])
     half = cols // 2
     noise = [random.integers(0, 9, frame_shape, np.uint8) for _ in range(4)]
     fibres = [cv2.line(noise[k], (0, 4 * k), (cols, 4 * k + rows), 200, 7) for k in range(4)]

@@ -151,8 +151,6 @@ class FrontEndImages(TrackingMethod):
     def prepare_image(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
         """See :meth:`TrackingMethod.prepare_image`; the image of a frame that shows nothing is zero."""
         self._front_end.image(raw, out, raw_residual)
-        if self._front_end.blank(raw):
-            out[:] = 0
 
 
 class RegistrationTracking(FrontEndImages):

@@ -16,13 +16,14 @@ import numpy as np
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
-from napari_elsplus.processing.analysis.saturation import saturation_level
+from napari_elsplus.processing.analysis.saturation import MAX_SATURATED_PIXELS, saturation_level
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
 from napari_elsplus.processing.tracking.front_end.binning import subtract_views, survey
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
 from napari_elsplus.processing.tracking.front_end.view_blocks import interleaved, scratch, view_blocks
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ DARK_PERCENTILE: Final = 5.0
 MAX_SATURATED: Final = 0.25
 """Share of the confocal view's middle, above which it is not tracked; chosen: of three rigs on tissue two were tracked
 wrongly with 0.4 and 0.6, and one rightly with 0.12."""
+MAX_SATURATED_SEEN: Final = 0.6
+"""The same where the background shows the cores, so that what saturated pixels lack is estimated; chosen."""
 _EVERY_PX: Final = 8
 """Rows and columns of the middle of a view of which one is read; chosen: about a thousand pixels in all."""
 _LOWEST_FLAT: Final = 0.2
@@ -93,7 +96,7 @@ class FrontEnd:
         self._blocks = view_blocks(views[0], views[-1], q, self.lit, self._frame_shape)
         reach = grid.side * q
         self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
-        self._dark_level = -np.inf
+        self._dark_level, self._saturated = -np.inf, None
         self._weights = (np.float32(weights[0]), np.float32(weights[1]))
         self._rows = scratch()
         inside = lit_pixels(*self.lit).astype(np.float32)
@@ -101,18 +104,23 @@ class FrontEnd:
         if calibration.flat is not None:
             light = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * light)
         scale = np.divide(inside, light, out=np.zeros_like(inside), where=inside > 0)
-        self._factors = interleaved(scale, np.zeros_like(scale))
+        self._factors = self._scale_alone = interleaved(scale, np.zeros_like(scale))
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
-            offset = self._binned(self._hot_pixels.mended(calibration.background))
-            self._factors = interleaved(scale, offset)
-            level = calibration.background[self._middle].mean()
-            self._dark_level = float(level + np.percentile(calibration.background, DARK_PERCENTILE)) / 2
+            mended = self._hot_pixels.mended(calibration.background)
+            self._factors = interleaved(scale, self._binned(mended))
+            level = float(calibration.background[self._middle].mean())
+            black = float(np.percentile(calibration.background, DARK_PERCENTILE))
+            self._dark_level = (level + black) / 2
+            self._saturated = SaturatedLight(mended, black, level, q + 2)
 
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
     ) -> NDArray[np.float32]:
-        """Make the tracking image of a raw frame.
+        """Make the tracking image of a raw frame; zero if the confocal view shows nothing that moves.
+
+        It shows but the background and the cores, whose patterns stand still, where much of it is saturated, all of it
+        is at one level, or half of the background's light is missing: the laser is off.
 
         Parameters
         ----------
@@ -134,13 +142,36 @@ class FrontEnd:
                     f"a frame has {frame.shape} pixels, the calibration is for {self._frame_shape}",
                     "all frames of a recording must have one size",
                 )
+        part = _readable(raw)[self._middle]
+        limit = saturation_level(part)
+        level, saturated, even = survey(part, limit)
+        seen = self._saturated is not None and self._saturated.known(limit)
+        if even or level < self._dark_level or saturated > (MAX_SATURATED_SEEN if seen else MAX_SATURATED):
+            out[:] = 0
+            return out
         raw = self._hot_pixels.mended(raw)
-        self._fill(raw, raw if raw_residual is None else self._hot_pixels.mended(raw_residual), out)
+        raw_residual = raw if raw_residual is None else self._hot_pixels.mended(raw_residual)
+        self._fill(raw, raw_residual, self._factors, out)
+        if seen and saturated > MAX_SATURATED_PIXELS:
+            self._add_beyond(raw, raw_residual, limit, out)
         return out
 
-    def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], out: NDArray[np.float32]) -> None:
+    def _fill(
+        self, raw: NDArray[Any], raw_residual: NDArray[Any], factors: NDArray[np.float32], out: NDArray[np.float32]
+    ) -> None:
         frames, pixels = (_readable(raw), _readable(raw_residual)), tuple(range(self.grid.binning))
-        subtract_views(*frames, pixels, self._blocks, self._weights, self._factors, self._rows, out)
+        subtract_views(*frames, pixels, self._blocks, self._weights, factors, self._rows, out)
+
+    def _add_beyond(
+        self, raw: NDArray[Any], raw_residual: NDArray[Any], limit: float, out: NDArray[np.float32]
+    ) -> None:
+        """Add the light that saturated pixels did not show."""
+        assert self._saturated is not None
+        confocal, unit = self._saturated.beyond(_readable(raw), limit)
+        residual = confocal if raw_residual is raw else self._saturated.beyond(_readable(raw_residual), limit)[0]
+        more = np.empty_like(out)
+        self._fill(confocal, residual, self._scale_alone, more)
+        out += np.float32(unit) * more
 
     def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the tracking image (n, n) of the background, added byte by byte.
@@ -153,24 +184,9 @@ class FrontEnd:
             for place in range(4):
                 level = steps.view(np.uint8)[:, place::4]
                 if level.any():
-                    self._fill(level, level, part)
+                    self._fill(level, level, self._factors, part)
                     total += np.float32(sign * 256**place / BACKGROUND_STEPS) * part
         return total
-
-    def blank(self, raw: NDArray[Any]) -> bool:
-        """Return True if the confocal view shows nothing but the background and the cores, whose patterns stand still.
-
-        Much of it is saturated, all of it is at one level, or half of the background's light is missing: the laser is
-        off.
-
-        Parameters
-        ----------
-        raw : numpy.ndarray
-            (rows, cols) raw frame.
-        """
-        part = _readable(raw)[self._middle]
-        level, saturated, even = survey(part, saturation_level(part))
-        return bool(saturated > MAX_SATURATED or even or level < self._dark_level)
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the flat, whose middle is the bundle's centre, on the grid.
