@@ -113,6 +113,17 @@ def record(
     return Truth(frames, calibration, starts[:-1] + middle * np.diff(starts, axis=0), starts, scene)
 
 
+def grid_target(side: int, period_px: float, defects: float, seed: int) -> NDArray[np.float32]:
+    """Lines both ways; defects are parts of the period by which they are misplaced, and of their brightness."""
+    rng = np.random.default_rng(seed)
+    at, lines = np.arange(side), np.full((2, side), 0.1)
+    for axis in range(2):
+        for k in range(int(side / period_px) + 1):
+            place, light = (k + rng.normal(0, defects)) * period_px, 0.4 * rng.normal(1, 2 * defects)
+            lines[axis] += light * (1 - np.tanh((np.abs(at - place) - period_px / 4) / 1.4)) / 2
+    return (lines[0][:, None] + lines[1]).astype(np.float32)
+
+
 def smooth_path(frames: int, speed: float, side: int, seed: int) -> NDArray[np.float64]:
     """Positions at the start of each frame (and the end of the last) on a Lissajous-like path inside the scene."""
     rng = np.random.default_rng(seed)

@@ -20,6 +20,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import (
 )
 from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar, Turn
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Spiral, Still, Turning
+from recordings import grid_target
 from simulated import INSTRUMENT, followed
 
 GRID = Grid(120, 1, (0, 0), (59.3, 59.8), 116.0, RollingShutter(150.0))
@@ -32,9 +33,12 @@ def texture(seed: int = 0, side: int = 400) -> np.ndarray:
     return (100 + 40 * image / image.std()).astype(np.float32)
 
 
-def view(form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noise: float, seed: int) -> PreparedFrame:
+def view(
+    form: np.ndarray, shift: tuple[float, float], registrar: Registrar, noise: float, seed: int,
+    tissue: np.ndarray | None = None,
+) -> PreparedFrame:  # fmt: skip
     """What a probe at `shift` sees whose pixels lie at `form` times theirs in the scene."""
-    tissue = texture()
+    tissue = texture() if tissue is None else tissue
     row, col = (np.arange(GRID.side)[:, None] - GRID.centre[0], np.arange(GRID.side) - GRID.centre[1])
     rows = form[0, 0] * row + form[0, 1] * col + 200 + shift[0]
     cols = form[1, 0] * row + form[1, 1] * col + 200 + shift[1]
@@ -95,6 +99,21 @@ def test_links_hold_under_large_turns_that_are_roughly_known(degrees: float) -> 
     assert link.observed
     assert abs(np.rad2deg(link.turn) - degrees) < 0.1
     assert np.hypot(-link.warp.b - moved[0], -link.warp.d - moved[1]) < 0.15
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("defects", [0.0, 0.06])
+def test_a_grid_that_turned_is_found_where_it_is_or_not_at_all(defects: float, seed: int) -> None:
+    """The highest peak of the search is a period away; where lines are alike none is more likely than others."""
+    turn, shift, registrar = np.deg2rad(3.0), (1.0, 10.4), Registrar(GRID)
+    tissue = 100 * grid_target(400, 13.3, defects, seed)
+    a = view(np.eye(2), (0.0, 0.0), registrar, 2.0, 2 * seed, tissue)
+    b = view(turned_by(turn), shift, registrar, 2.0, 2 * seed + 1, tissue)
+    link = registrar.register(a, b, about(GRID.shutter, Warp()), anywhere=True, turn=Turn(turn))
+    assert link is not None
+    assert link.observed == (defects > 0)
+    moved = turned_by(-turn) @ shift
+    assert not link.observed or np.hypot(-link.warp.b - moved[0], -link.warp.d - moved[1]) < 0.3
 
 
 def test_motion_of_the_earlier_frame_is_undone_before_it_is_turned() -> None:

@@ -11,7 +11,7 @@ from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, PreparedFrame, Registrar
-from recordings import fibres, record, texture
+from recordings import fibres, grid_target, record, texture
 
 
 def pair(
@@ -54,17 +54,6 @@ def test_all_shifts_are_searched() -> None:
     link = registrar.register(a, b, about(registrar.grid.shutter, Warp(), shift_px=60.0), anywhere=True)
     assert link is not None
     assert np.abs(np.subtract(displacement(registrar, link), truth)).max() < 0.3
-
-
-def grid_target(side: int, period_px: float, defects: float, seed: int) -> np.ndarray:
-    """Lines both ways; defects are parts of the period by which they are misplaced, and of their brightness."""
-    rng = np.random.default_rng(seed)
-    at, lines = np.arange(side), np.full((2, side), 0.1)
-    for axis in range(2):
-        for k in range(int(side / period_px) + 1):
-            place, light = (k + rng.normal(0, defects)) * period_px, 0.4 * rng.normal(1, 2 * defects)
-            lines[axis] += light * (1 - np.tanh((np.abs(at - place) - period_px / 4) / 1.4)) / 2
-    return (lines[0][:, None] + lines[1]).astype(np.float32)
 
 
 @pytest.mark.parametrize("seed", range(3))

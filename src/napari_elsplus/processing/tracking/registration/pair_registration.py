@@ -335,8 +335,9 @@ class Registrar:
             motion_models.upright(earlier.image, scratch.image, self.grid.centre, matrix, while_read[:, 2])
             upright = self.prepare(scratch)
             if searches:
-                start = self._searched(upright, later, motion)[0]
-            link = self._refined(upright, later, motion, start)
+                link = self._likeliest(upright, later, motion, 0.0)
+            else:
+                link = self._refined(upright, later, motion, start)
             searches = anywhere and not link.observed
             left = turn - expected.angle, expected.sigma
             found = self.remainder(upright, later, link.warp, motion.spread, left, rim=False)
