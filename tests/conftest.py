@@ -55,12 +55,16 @@ def _a_busy_computer_is_no_stuck_device(request: pytest.FixtureRequest, monkeypa
 @pytest.fixture(autouse=True)
 def _priority_is_as_before_it() -> Iterator[None]:
     """What keeps the camera's pace in this process leaves its real-time priority to no other test."""
-    interval_s = sys.getswitchinterval()
-    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if sys.platform == "linux" else None
+    interval_s, policy = sys.getswitchinterval(), _policy()
     yield
     sys.setswitchinterval(interval_s)
-    if before is not None:
-        os.sched_setscheduler(0, *before)
+    if policy != _policy():
+        os.sched_setscheduler(0, *policy)
+
+
+def _policy() -> tuple[Any, ...]:
+    """Policy and parameters of this thread's scheduling, on Linux."""
+    return (os.sched_getscheduler(0), os.sched_getparam(0)) if sys.platform == "linux" else ()
 
 
 @pytest.fixture
