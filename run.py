@@ -51,8 +51,19 @@ COMPILE = "import compileall, sysconfig; compileall.compile_dir(sysconfig.get_pa
 
 EXTRAS = "pyqt,video,zarr,batch,genicam"
 PURE = (
-    "tests/benchmarks",
     "tests/processing",
+    "tests/benchmarks/test_turning.py",
+    "tests/benchmarks/imperfect",
+    "tests/benchmarks/documents",
+    "tests/benchmarks/studies",
+    "tests/benchmarks/harness",
+    "tests/benchmarks/rigs",
+    "tests/benchmarks/test_long_process.py",
+    "tests/benchmarks/test_batch.py",
+    "tests/benchmarks/test_mutations.py",
+    "tests/benchmarks/test_pairs.py",
+    "tests/benchmarks/test_start.py",
+    "tests/benchmarks/test_main.py",
     "tests/cli/files",
     "tests/workflows",
     "tests/examples/test_examples.py",
@@ -76,6 +87,7 @@ to the tests in turn, which wait much."""
 PATIENT = (
     "tests/widgets/test_calibration.py",
     "tests/widgets/live/test_panel.py",
+    "tests/benchmarks/test_choices.py",
     "tests/widgets/analysis",
     "tests/widgets/mosaic",
     "tests/cli/rig/test_calibrate.py",
