@@ -14,7 +14,7 @@ import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from napari_elsplus.errors import ElsPlusError
+from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.io import RecordingWriter, open_recording
 
 FRAMES = np.random.default_rng(5).integers(0, 255, (4, 24, 32), dtype=np.uint8)
@@ -101,3 +101,11 @@ def test_mutated_bytes_raise_nothing_but_our_own_errors(tmp_path, whole, name, d
     except ElsPlusError as error:
         said = str(error)
         assert "\n" not in said
+
+
+def test_a_number_of_frames_that_no_disk_holds_is_refused(tmp_path):
+    """A Zarr of a few bytes declares what it likes: the chunks of its frames filled the memory of napari."""
+    shape = (10**9, 300, 600)
+    zarr.create_array(str(tmp_path / "huge.zarr"), shape=shape, chunks=(1, 300, 600), dtype="u1")
+    with pytest.raises(InputError, match="declares 1000000000 frames"):
+        open_recording(tmp_path / "huge.zarr")

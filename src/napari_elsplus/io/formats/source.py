@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MAX_FRAME_BYTES: Final = 1 << 30
 """Chosen: fifty times a frame of a 20-megapixel camera; a header that declares more is refused as damaged or forged."""
 
+MAX_FRAMES: Final = 10_000_000
+"""Chosen: eleven hours at 240 Hz; what is kept for each frame, as its time, fills no memory."""
 MAX_LEVEL: Final = 1e9
 """Chosen: thousands of times what cameras deliver, of which sums of squares are finite as float32."""
 
@@ -59,6 +61,8 @@ class FrameSource(ABC):
         frame_bytes = shape[1] * shape[2] * dtype.itemsize
         if frame_bytes > MAX_FRAME_BYTES:
             raise InputError(f"{path.name} declares frames of {shape[1]} x {shape[2]} pixels", "the file is damaged")
+        if shape[0] > MAX_FRAMES:
+            raise InputError(f"{path.name} declares {shape[0]} frames", f"at most {MAX_FRAMES} are read: split it")
         self.path = path
         self.shape = shape
         self.stored_dtype = dtype
