@@ -68,3 +68,11 @@ def test_the_dark_tube_of_a_simulated_rig_is_a_background(imperfections: str) ->
     instrument = Instrument.of("240hz", imperfections=Imperfections.parse(imperfections))
     found = measure_background(list(islice(dark_tube(instrument), 8)))
     assert found.line_row is None
+
+
+@pytest.mark.parametrize("shift", [0, 4, 6])
+def test_noise_of_one_step_of_bits_that_lie_to_the_left_is_no_moving_light(shift: int) -> None:
+    """Ten bits in sixteen differ by 64 where they differ at all, and most pixels of a quiet camera do not."""
+    random = np.random.default_rng(4)
+    frames = np.rint(random.normal(20.2, 0.35, (20, 200, 400))).astype(np.uint16) << shift
+    assert measure_background(frames).mean.mean() == pytest.approx(20.2 * 2**shift, rel=0.01)

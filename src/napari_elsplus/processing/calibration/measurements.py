@@ -65,7 +65,7 @@ MIN_MOVING_FRAMES: Final = 5
 DARK_PERCENTILE: Final = 5.0
 """Of the pixels of a view, that lie beside the bundle; chosen: corners of the view have a fifth of its pixels."""
 MIN_NOISE: Final = 0.5
-"""Grey levels; chosen, as a camera that rounds them may show none."""
+"""Steps between a camera's grey levels; chosen, as one that rounds to them may show none."""
 MAX_CHORD: Final = 1.1
 """Length of a line over the bundle's diameter; chosen: the rim's blur, and what a threshold makes of it."""
 LIT_FRAMES: Final = 400
@@ -137,11 +137,11 @@ def _movement(frames: Frames) -> tuple[float, float]:
     The frame with most of these pixels is left out: a flash of light moves nowhere.
     """
     every = -(-len(frames) // MOVING_FRAMES)
-    above = np.asarray(
-        [frames[k][::MOVING_STEP_PX, ::MOVING_STEP_PX] for k in range(0, len(frames), every)], np.float32
-    )
+    some = np.asarray([frames[k][::MOVING_STEP_PX, ::MOVING_STEP_PX] for k in range(0, len(frames), every)])
+    step = int(np.gcd.reduce(some, axis=None)) if some.dtype.kind == "u" else 1  # of few bits that lie to the left
+    above = some.astype(np.float32)
     above -= np.median(above, axis=0)
-    noise = np.maximum(robust_sigma(above, axis=0), MIN_NOISE)
+    noise = np.maximum(robust_sigma(above, axis=0), MIN_NOISE * max(step, 1))
     lit = above > MOVING_SIGMAS * noise
     lit[np.count_nonzero(lit, axis=(1, 2)).argmax()] = False
     moving = float(lit.any(axis=0).mean()) if len(above) >= MIN_MOVING_FRAMES else 0.0
