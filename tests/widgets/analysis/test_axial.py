@@ -11,9 +11,9 @@ from napari.layers import Image
 from depth_scan import DEPTH_UM, calibration, frames
 from napari_elsplus.io import write_calibration, write_column, write_images
 from napari_elsplus.processing.axial.axial_response import axial_response
-from napari_elsplus.viewing import axial as viewing_axial
 from napari_elsplus.viewing.axial import Scan
 from napari_elsplus.widgets.analysis.axial import MANUAL, SIMULATED, STACK
+from napari_elsplus.workflows import simulated
 
 PLUGIN = "napari-elsplus"
 
@@ -139,7 +139,7 @@ def test_a_simulated_scan_can_be_cancelled(panel, qtbot):
 
 
 def test_several_simulated_scans_are_drawn_against_the_offset(panel, qtbot, monkeypatch):
-    monkeypatch.setattr(viewing_axial, "scan_depths_um", lambda: np.array([0.0, 20, 60]))
+    monkeypatch.setattr(simulated, "scan_depths_um", lambda: np.array([0.0, 20, 60]))
     panel.source.value = SIMULATED
     for offset_um in (20, 40):
         panel.offset.value = offset_um
