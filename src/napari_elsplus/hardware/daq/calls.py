@@ -6,7 +6,8 @@ import contextlib
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.errors import translate_daq_errors
@@ -106,32 +107,6 @@ class Patience:
         return False
 
 
-class Command:
-    """A function that waits for its turn in the card's thread."""
-
-    def __init__(self, act: Callable[[], Any]) -> None:
-        self._act = act
-        self.ended = threading.Event()
-        self.given_up = False
-        self._result: Any = None
-        self._error: BaseException | None = None
-
-    def run(self) -> None:
-        """Execute it, unless it was given up."""
-        try:
-            if not self.given_up:
-                self._result = self._act()
-        except BaseException as error:  # noqa: BLE001 - raised where the command was given
-            self._error = error
-        self.ended.set()
-
-    def result(self) -> Any:
-        """Return what it returned, or raise what it raised."""
-        if self._error is not None:
-            raise self._error
-        return self._result
-
-
 class CardThread:
     """The thread that calls a card: commands in the order in which they were given, and a routine between them.
 
@@ -157,7 +132,7 @@ class CardThread:
     ) -> None:
         self._calls, self._routine, self._end, self._go_around = calls, routine, end, go_around
         self._wake, self._ended = threading.Event(), threading.Event()
-        self._commands: list[Command] = []
+        self._commands: list[tuple[Future[Any], Callable[[], Any]]] = []
         self._thread = threading.Thread(target=self._run, name="galvo card", daemon=True)
         self._watch = threading.Thread(target=self._watch_calls, name="galvo watch", daemon=True)
 
@@ -181,17 +156,18 @@ class CardThread:
         """
         if threading.current_thread() is self._thread:
             return act()
-        command = Command(act)
-        self._commands.append(command)
+        command, ended = Future[Result](), threading.Event()
+        command.add_done_callback(lambda _: ended.set())
+        self._commands.append((command, act))
         self.wake()
         patience = Patience(self._calls)
-        while not patience.wait(command.ended):
-            if self._ended.is_set() and not command.ended.is_set():
+        while not patience.wait(ended):
+            if self._ended.is_set() and not ended.is_set():
                 raise DeviceError("the galvo was closed", "open the rig again")
             if patience.waited_s > GIVE_UP_S:
-                command.given_up = True
+                command.cancel()
                 raise DeviceError("a call to the card does not return", "check its cable, then open the rig again")
-        return cast("Result", command.result())
+        return command.result()
 
     def wake(self) -> None:
         """Let the routine be due now."""
@@ -209,10 +185,18 @@ class CardThread:
                 self._wake.wait(pause_s)
                 self._wake.clear()
                 while self._commands:
-                    self._commands.pop(0).run()
+                    self._carry_out(*self._commands.pop(0))
             self._end()
         finally:
             self._ended.set()
+
+    @staticmethod
+    def _carry_out(command: Future[Any], act: Callable[[], Any]) -> None:
+        if command.set_running_or_notify_cancel():  # else it was given up
+            try:
+                command.set_result(act())
+            except BaseException as error:  # noqa: BLE001 - raised where the command was given
+                command.set_exception(error)
 
     def _watch_calls(self) -> None:
         patience, parked = Patience(self._calls), 0
