@@ -233,7 +233,7 @@ class EngineClient(ClosedOnExit, Commands):
             ring.close()
 
 
-def follow_offset(
+def followed_offsets(
     client: EngineClient, draft: Draft, keep_on: Callable[[], bool]
 ) -> Iterator[tuple[int, SlitOffset | MeasurementError]]:
     """Yield the newest slit offset, which the engine measures in frame after frame.

@@ -6,7 +6,7 @@ from dataclasses import replace
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.acquisition.link.client import follow_offset
+from napari_elsplus.acquisition.link.client import followed_offsets
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.draft import setup_of
@@ -190,7 +190,7 @@ class OffsetFollowing:
             If camera or galvo fail.
         """
         setup, begun_s = self._client.setup().result(), perf_counter()
-        for count, found in follow_offset(self._client, self._draft, lambda: self._running):
+        for count, found in followed_offsets(self._client, self._draft, lambda: self._running):
             if count == 1:
                 begun_s = perf_counter()
             if isinstance(found, MeasurementError):
