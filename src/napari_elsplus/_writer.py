@@ -16,9 +16,7 @@ from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.provenance import provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import Recording
@@ -58,7 +56,8 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     if image.ndim == 2:
         write_mosaic(path, np.asarray(image), metadata, force=True)
     else:
-        write_images(path, _Planes(image), metadata, force=True)
+        planes = (np.asarray(image[index]) for index in range(len(image)))
+        write_images(path, planes, metadata, count=len(image), force=True)
     return [path, *_calibration_of_raw(path, provenance)]
 
 
@@ -78,19 +77,6 @@ def _grey(data: Any, attributes: Mapping[str, Any]) -> Any:
             "an image (rows, cols) or a stack (T, rows, cols) of grey levels can be written",
         )
     return full
-
-
-class _Planes:
-    """Planes of a stack, computed one at a time; sized, so that writers know their number."""
-
-    def __init__(self, stack: Any) -> None:
-        self._stack = stack
-
-    def __len__(self) -> int:
-        return len(self._stack)
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        return (np.asarray(self._stack[index]) for index in range(len(self._stack)))
 
 
 def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, float | None]:

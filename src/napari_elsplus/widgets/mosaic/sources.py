@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from napari.layers import Image
@@ -11,6 +11,7 @@ from napari.layers import Image
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
+from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import napari.viewer
-    from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
@@ -65,19 +65,6 @@ class MosaicSource:
         return (3 if len(plan.modes) > 1 else 2) * pairs
 
 
-class _Planes:
-    """The planes of a layer as frames."""
-
-    def __init__(self, data: Any) -> None:
-        self._data = data
-
-    def __len__(self) -> int:
-        return len(self._data)
-
-    def __getitem__(self, index: int, /) -> NDArray[Any]:
-        return np.asarray(self._data[index])
-
-
 def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""
     usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
@@ -120,7 +107,12 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
     stack = facts.get("stack")
     recording = None if stack is None else stack.recording
     times_s = None if recording is None else recording.times_by(calibration)
-    frames = stack.planes if stack is not None and raw else _Planes(layer.data)
+    data = layer.data
+    frames = (
+        stack.planes
+        if stack is not None and raw
+        else LazyPlanes(lambda index: np.asarray(data[index]), data.shape, data.dtype)
+    )
     if calibration is not None:
         numbers = None if recording is None else recording.frame_numbers
         return MosaicSource(frames, calibration, times_s, numbers)

@@ -158,15 +158,10 @@ def _answer(wire: Connection[Any, Any], card: VirtualCard, held: _Holders) -> No
 def _reply(card: VirtualCard, what: str, argument: Any) -> Any:
     if what == "programs":
         return card.version, None if card.version == argument else card.programs()
-    if what == "last_volts":
-        return card.last_volts
-    if what == "laser_on":
-        return card.laser_on
+    asked = getattr(card, what)
     if what == "inject":
-        return card.inject(**argument)
-    if what == "strobe":
-        return card.strobe(argument)
-    return card.break_with(argument)
+        return asked(**argument)
+    return asked(argument) if callable(asked) else asked
 
 
 if __name__ == "__main__":
