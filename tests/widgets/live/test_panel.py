@@ -25,7 +25,7 @@ from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
-from napari_elsplus.io.settings import active_calibration, recall
+from napari_elsplus.io.settings import active_calibration, recall, remember
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
 from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
@@ -92,6 +92,16 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     assert (facts["rig"], facts["kind"]) == ("simulated", "live els")
     assert facts["software"].startswith("napari-elsplus ")
     assert datetime.fromisoformat(facts["displayed_since"]).tzinfo is not None
+
+
+def test_remembered_values_that_a_field_does_not_take_leave_its_default(viewer):
+    """Before: the panel did not open."""
+    remember("live", cores="octagonal", average=900, kinds=3, seconds=5.0, folder=7)
+    remember("mosaic", method="sextant", insertion="feathered", modes=3)
+    forms = [viewer.window.add_plugin_dock_widget("napari-elsplus", name)[1].form for name in ("Live", "Mosaic")]
+    assert (forms[0].cores.value, forms[0].average.value, forms[0].chosen) == ("none", 1, ["ls", "els"])
+    assert forms[0].seconds.value == 5.0
+    assert (forms[1].method.value, forms[1].insertion.value, forms[1].plan.modes) == ("elsplus", "feathered", ("els",))
 
 
 def test_park_while_a_start_is_prepared_starts_nothing(viewer, panel, qtbot):

@@ -11,12 +11,19 @@ from magicgui.widgets import CheckBox, ComboBox, FileEdit, FloatSpinBox, PushBut
 
 from napari_elsplus.acquisition.engine.live_images import RAW, LiveView
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.io.settings import recall, remember
+from napari_elsplus.io.settings import remember
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.widgets.live.layers import KINDS
 from napari_elsplus.widgets.shared.calibration_state import lag_button
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout, text_label
+from napari_elsplus.widgets.shared.panel import (
+    button_row,
+    form_layout,
+    panel_layout,
+    restore_boxes,
+    restore_fields,
+    text_label,
+)
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 
@@ -41,8 +48,6 @@ class LiveForm:
     """
 
     def __init__(self, panel: QWidget) -> None:
-        last = recall(SECTION)
-        shown = last.get("kinds", [Mode.LS.value, Mode.ELS.value])
         self.start, self.record, self.snapping = (
             PushButton(text=word) for word in ("Start", "Record", "Save one frame")
         )
@@ -51,10 +56,11 @@ class LiveForm:
             text="Copy as script", tooltip="Copy a Python script that streams and records with these settings"
         )
         self.kinds = {
-            kind: CheckBox(value=kind in shown, text=title, tooltip=_TIPS[kind]) for kind, title in KINDS.items()
+            kind: CheckBox(value=kind in (Mode.LS, Mode.ELS), text=title, tooltip=_TIPS[kind])
+            for kind, title in KINDS.items()
         }
         self.side_by_side = CheckBox(
-            value=last.get("side_by_side", True),
+            value=True,
             text="side by side",
             tooltip="Images side by side, or in one place",
         )
@@ -62,33 +68,30 @@ class LiveForm:
             choices=[ONCE, CONTINUOUS, FIXED], label="contrast",
             tooltip="Contrast limits from the first frame with light, updated every second, or set by the user only",
         )  # fmt: skip
-        self.background = CheckBox(
-            value=last.get("background", True), text="background", tooltip="Subtract the background of the calibration"
-        )
-        self.flat_field = CheckBox(
-            value=last.get("flat_field", False), text="flat field", tooltip="Divide by the calibration's flat field"
-        )
+        self.background = CheckBox(value=True, text="background", tooltip="Subtract the background of the calibration")
+        self.flat_field = CheckBox(value=False, text="flat field", tooltip="Divide by the calibration's flat field")
         self.row_reference = CheckBox(
-            value=last.get("row_reference", True), text="row reference",
+            value=True, text="row reference",
             tooltip="Subtract the camera's row noise where the dark pixels beside the bundle show it",
         )  # fmt: skip
         self.cores = ComboBox(
-            choices=[kind.value for kind in CoreFilter], value=last.get("cores", CoreFilter.NONE.value),
+            choices=[kind.value for kind in CoreFilter],
+            value=CoreFilter.NONE.value,
             label="core filter",
             tooltip="Suppression of the core pattern (honeycomb)",
         )  # fmt: skip
         self.average = SpinBox(
-            value=last.get("average", 1), min=1, max=64, label="running average (frames)",
+            value=1, min=1, max=64, label="running average (frames)",
             tooltip="Exponential running average: weight of a new frame is 1/N, N from 1 to 64",
         )  # fmt: skip
         self.folder = FileEdit(
-            value=last.get("folder", str(Path.home())),
+            value=Path.home(),
             mode=FileDialogMode.EXISTING_DIRECTORY,
             label="recording folder",
             tooltip="Folder for recordings and single frames",
         )
         self.seconds = FloatSpinBox(
-            value=last.get("seconds", DEFAULT_LIMIT_S),
+            value=DEFAULT_LIMIT_S,
             min=0,
             max=36000,
             label="duration limit (s)",
@@ -116,6 +119,13 @@ class LiveForm:
         self.lag, self.bar = lag_button(), RequestBar()
         self.opening = PushButton(text="Open it", tooltip="Open the newest recording as layers", visible=False)
         self.status = text_label()
+        self._remembered = {
+            "side_by_side": self.side_by_side, "background": self.background, "flat_field": self.flat_field,
+            "row_reference": self.row_reference, "cores": self.cores, "average": self.average, "folder": self.folder,
+            "seconds": self.seconds,
+        }  # fmt: skip
+        restore_fields(SECTION, self._remembered)
+        restore_boxes(SECTION, "kinds", self.kinds)
         self._panel = panel
         self._build_layout()
 
@@ -155,11 +165,8 @@ class LiveForm:
 
     def remember(self) -> None:
         """Save the values for the next session."""
-        remember(
-            SECTION, folder=str(self.folder.value), cores=self.cores.value, background=self.background.value,
-            flat_field=self.flat_field.value, row_reference=self.row_reference.value, average=self.average.value,
-            kinds=self.chosen, side_by_side=self.side_by_side.value, seconds=self.seconds.value,
-        )  # fmt: skip
+        values = {key: field.value for key, field in self._remembered.items()} | {"folder": str(self.folder.value)}
+        remember(SECTION, kinds=self.chosen, **values)
 
     def connect(self, slots: Mapping[str, Callable[[], Any]], view: Callable[[], Any]) -> None:
         """Connect buttons and shortcuts.

@@ -7,14 +7,21 @@ from typing import TYPE_CHECKING, Any, Final
 from magicgui.types import FileDialogMode
 from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
 
-from napari_elsplus.io.settings import recall, remember
+from napari_elsplus.io.settings import remember
 from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.widgets.shared.choosing import LayerChoice
-from napari_elsplus.widgets.shared.panel import button_row, form_layout, panel_layout, text_label
+from napari_elsplus.widgets.shared.panel import (
+    button_row,
+    form_layout,
+    panel_layout,
+    restore_boxes,
+    restore_fields,
+    text_label,
+)
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
@@ -47,8 +54,6 @@ class MosaicForm:
     """
 
     def __init__(self, panel: QWidget, work: QWidget, viewer: napari.viewer.Viewer) -> None:
-        last = recall(SECTION)
-        modes = last.get("modes", [Mode.ELS.value])
         tip = "A raw recording, or any stack of images of a moving probe"
         self.recording = LayerChoice(viewer, source_names, "stack", tip)
         self.calibration = FileEdit(
@@ -56,19 +61,19 @@ class MosaicForm:
             tooltip="A calibration file; empty: the recording's own",
         )  # fmt: skip
         self.modes = {
-            mode: CheckBox(value=mode.value in modes, text=mode.label, tooltip=_TIPS[mode]) for mode in COMPARED_MODES
+            mode: CheckBox(value=mode is Mode.ELS, text=mode.label, tooltip=_TIPS[mode]) for mode in COMPARED_MODES
         }
         methods, insertions = tracking_methods(), [i.value for i in Insertion]
         self.method = ComboBox(
             choices=[(METHOD_LABELS.get(name, name), name) for name in methods],
-            value=_known(last.get("method"), list(methods)), label="method",
+            label="method",
             tooltip="; ".join(
                 f"{METHOD_LABELS.get(name, name)}: {method.description}" for name, method in methods.items()
             ),
         )  # fmt: skip
         self.insertion = ComboBox(
             choices=[(INSERTION_LABELS.get(name, name), name) for name in insertions],
-            value=_known(last.get("insertion"), insertions), label="insertion",
+            label="insertion",
             tooltip="How overlapping frames are combined",
         )  # fmt: skip
         self.start, self.going_live = PushButton(text="Mosaic"), PushButton(text="Live mosaic")
@@ -80,6 +85,8 @@ class MosaicForm:
         self.opening = PushButton(text="Open file...", tooltip="Open a recording as layers")
         self.speed = SpeedBar(viewer.theme)
         self.status = text_label()
+        restore_fields(SECTION, {"method": self.method, "insertion": self.insertion})
+        restore_boxes(SECTION, "modes", {mode.value: box for mode, box in self.modes.items()})
         self._panel = panel
         self._build_layout(work)
 
@@ -164,10 +171,6 @@ class MosaicForm:
         for widget in (work, self.speed, self.status):
             layout.addWidget(widget)
         layout.addStretch(1)
-
-
-def _known(value: Any, choices: list[str]) -> str:
-    return value if value in choices else choices[0]
 
 
 _TIPS: Final = {

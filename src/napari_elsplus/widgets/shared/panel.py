@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from weakref import WeakSet
@@ -13,14 +14,15 @@ from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBox
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import supported_recordings
+from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     import napari.viewer
-    from magicgui.widgets import Widget
+    from magicgui.widgets import CheckBox, Widget
     from qtpy.QtCore import QMimeData, QObject
     from qtpy.QtGui import QDragEnterEvent, QDropEvent
 
@@ -251,3 +253,35 @@ def form_layout(*fields: Widget) -> QFormLayout:
             label.setToolTip(field.tooltip or "")
             layout.addRow(label, field.native)
     return layout
+
+
+def restore_fields(section: str, fields: Mapping[str, Any]) -> None:
+    """Give fields the values of the last session; one that a field does not take leaves its default.
+
+    Parameters
+    ----------
+    section : str
+        Of the settings.
+    fields : mapping of str to magicgui.widgets.bases.ValueWidget
+        By the keys of their values.
+    """
+    for key, value in recall(section).items():
+        if key in fields:
+            with suppress(ValueError, TypeError):
+                fields[key].value = value
+
+
+def restore_boxes(section: str, key: str, boxes: Mapping[str, CheckBox]) -> None:
+    """Tick the boxes that were ticked in the last session.
+
+    Parameters
+    ----------
+    section, key : str
+        Of the settings, where the names of the ticked boxes are.
+    boxes : mapping of str to magicgui.widgets.CheckBox
+        By their names.
+    """
+    ticked = recall(section).get(key)
+    if isinstance(ticked, list):
+        for name, box in boxes.items():
+            box.value = name in ticked
