@@ -21,15 +21,18 @@ def remembered_rig() -> str:
 
 
 def remembered_settings() -> Settings:
-    """Return the settings used last."""
+    """Return the settings used last; the defaults where these are none, as of another version."""
     last = recall(_SECTION)
-    chosen = last.get("preset", "240hz")
-    return Settings(
-        chosen if chosen in PRESETS else "240hz",
-        int(last.get("slit_rows", 3)),
-        last.get("frame_rate_hz"),
-        float(last.get("gain_db", 0.0)),
-    )
+    chosen, rate_hz = last.get("preset"), last.get("frame_rate_hz")
+    try:
+        return Settings(
+            chosen if chosen in PRESETS else "240hz",
+            int(last.get("slit_rows", 3)),
+            None if rate_hz is None else float(rate_hz),
+            float(last.get("gain_db", 0.0)),
+        )
+    except (TypeError, ValueError):
+        return Settings()
 
 
 def remember_rig(rig: str, settings: Settings) -> None:
