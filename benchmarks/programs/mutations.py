@@ -32,7 +32,6 @@ TESTS: Final = {
     "hardware/u3v/control": CAMERA,
     "hardware/u3v/transfers": CAMERA,
     "hardware/u3v/stream": CAMERA,
-    "hardware/u3v/clock": CAMERA,
     "hardware/u3v/camera": CAMERA,
     "hardware/u3v/flea3": CAMERA,
     "hardware/u3v/discovery": CAMERA,
@@ -120,7 +119,7 @@ MISTAKES: Final = tuple(
             ("or trailer.status:", "or False:"),
             ("leader.block_id * self._period_s", "0.0"),
         ),
-        "u3v/clock": (
+        "u3v/camera": (
             ("TIMESTAMP, LATCH, INCREMENT = 0x01F0, 0x01F8", "TIMESTAMP, LATCH, INCREMENT = 0x01F8, 0x01F0"),
             ("self._control.write_number(LATCH, 1)", "self._control.write_number(LATCH, 2)"),
             ("return max(before_s - ticks", "return min(before_s - ticks"),
@@ -128,8 +127,6 @@ MISTAKES: Final = tuple(
                 "            if near:\n                return near[0]\n        return tick_s",
                 "        return NANOSECOND",
             ),
-        ),
-        "u3v/camera": (
             (
                 "self._control.write_number(self._control.sirm + ENABLE, 0)\n        with",
                 "with",
