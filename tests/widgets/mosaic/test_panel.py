@@ -63,7 +63,7 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     def until_displayed(steps):
         for number, step in enumerate(progress(steps)):
             if number == FRAMES // 2:
-                assert displayed.wait(30)
+                assert displayed.wait(100)
             yield step
 
     monkeypatch.setattr(panel.work, "progress", until_displayed)
@@ -76,7 +76,7 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
             displayed.set()
         return not panel.work.busy
 
-    qtbot.waitUntil(ended, timeout=60_000)
+    qtbot.waitUntil(ended, timeout=200_000)
     assert len(grown) > 1
     assert mosaics(viewer) == OURS | {"mosaic titles"}
     images = {"mosaic LS", "mosaic ELSA", "mosaic ELS+"}
