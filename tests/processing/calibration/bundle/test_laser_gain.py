@@ -112,7 +112,9 @@ def test_light_of_cores_at_the_edges_of_bands_is_no_error_of_the_gain() -> None:
     assert bundle.residual_gain_uncertainty < 5e-4
 
 
-@pytest.mark.parametrize(("rotation_deg", "scale"), [(0.6, 1.001), (-1.5, 1.001), (0.3, 1.03), (2.5, 0.97)])
+@pytest.mark.parametrize(
+    ("rotation_deg", "scale"), [(0.6, 1.001), (-1.5, 1.001), (0.3, 1.03), (2.5, 0.97), (-3.0, 1.001)]
+)
 def test_the_gain_is_that_of_views_that_are_rotated_or_differ_in_scale(rotation_deg: float, scale: float) -> None:
     """Where the confocal line's slope or offset was used for both, its light in the other was 2 to 10 % too weak."""
     plain = Instrument.of("240hz", imperfections=Imperfections(line_bow_rows=2.0))
@@ -126,7 +128,7 @@ def test_the_gain_is_that_of_views_that_are_rotated_or_differ_in_scale(rotation_
     )
     bundle, gain = draft.calibration.bundle, instrument.residual_view.gain
     assert bundle is not None
-    assert abs(bundle.residual_gain - gain) < 3 * bundle.residual_gain_uncertainty + 0.001
+    assert abs(bundle.residual_gain - gain) < 2 * bundle.residual_gain_uncertainty + 0.0001
     assert bundle.residual_gain_uncertainty < 0.01
 
 

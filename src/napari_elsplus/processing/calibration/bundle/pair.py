@@ -126,8 +126,10 @@ class BundlePair:
         """
         affine, at = self.alignment.residual_to_confocal, np.array((line.row, line.column))
         down, across = np.linalg.solve(affine[:, :2], at - affine[:, 2]) - at
-        (stretch, by_column), (_, along) = np.linalg.inv(affine[:, :2])
-        return ViewOffset(float(down), float(across), float(by_column / along), float(stretch))
+        to_residual = np.linalg.inv(affine[:, :2])
+        fall, along = to_residual @ (line.slope, 1.0)
+        stretch = np.linalg.det(to_residual) / along  # of rows across the line, which is turned with its view
+        return ViewOffset(float(down), float(across), float(fall / along - line.slope), float(stretch))
 
     @property
     def offset_rows(self) -> float:

@@ -15,7 +15,7 @@ class ViewOffset(NamedTuple):
     slope : float
         Of the line in the residual view less that in the confocal one, rows per column.
     stretch : float
-        Height of the residual image over that of the confocal one.
+        Rows across the line in the residual view over those in the confocal one.
     """
 
     rows: float
