@@ -50,15 +50,12 @@ class Iteration(NamedTuple):
         A step that moves no pixel farther than this is the last.
     finely : bool
         True to sample the image through six by six pixels, else between four.
-    tone_step : int
-        Every how many rows gain and offset are estimated from to start with; steps refine them.
     """
 
     row_step: int
     steps: int
     tolerance_px: float
     finely: bool
-    tone_step: int
 
 
 class Workspace(NamedTuple):
@@ -69,7 +66,7 @@ class Workspace(NamedTuple):
     normal, right : numpy.ndarray
         (7, 7) and (7,) float64: normal equations of gain, offset and warp; of rotation as well in its score test.
     tone : numpy.ndarray
-        (2,) float64: gain and offset of the image against the template by regression.
+        (2,) float64: gain and offset of the image against the template.
     stiffness, schur : numpy.ndarray
         (4, 4) float64: information of the prior of a warp; what :func:`solve` leaves of the equations of a warp that is
         not kept.
@@ -93,41 +90,6 @@ class Workspace(NamedTuple):
         stiffness, schur = np.zeros((2, PARAMETERS, PARAMETERS))
         normal, right = np.zeros((UNKNOWNS + 1, UNKNOWNS + 1)), np.zeros(UNKNOWNS + 1)
         return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros(5), np.zeros((2, side), np.float32))
-
-
-@lean_kernel
-def tone_between(pair: FramePair, warp: Warp, row_step: int) -> tuple[float, float]:
-    """Estimate gain and offset of an image against a template by regression, from some rows and the nearest pixels.
-
-    1 and 0 where the template is even.
-
-    Parameters
-    ----------
-    pair : FramePair
-        Frames that are compared.
-    warp : Warp
-        From the template to the image.
-    row_step : int
-        Every how many rows are used.
-    """
-    template, image = pair.template, pair.image
-    count, t1, i1, tt, ti = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, len(template) - 1, row_step):
-        above, down, whole, across, begin, end = sampling.row_shift(pair, row, warp)
-        nearest, aside = above + int(down + 0.5), whole + int(across + 0.5)
-        here, there = template[row, begin:end], image[nearest, begin + aside : end + aside]
-        for k in range(end - begin):
-            t, i = here[k], there[k]
-            t1 += t
-            i1 += i
-            tt += t * t
-            ti += t * i
-        count += end - begin
-    spread = tt * count - t1 * t1
-    if not spread > 0:
-        return 1.0, 0.0
-    gain = (ti * count - t1 * i1) / spread
-    return gain, (i1 - gain * t1) / count
 
 
 @lean_kernel

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-_SCORED: Final = lucas_kanade.Iteration(1, 1, 0.0, False, 4)
+_SCORED: Final = lucas_kanade.Iteration(1, 1, 0.0, False)
 """How a rotation is estimated at half resolution: one step."""
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is tested again and again in a long recording."""
@@ -210,7 +210,7 @@ def score_rotation(
     normal, right, tone = work.normal, work.right[: UNKNOWNS + 1], work.tone
     nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     there = in_pixels_of(2.0, warp)
-    tone[0], tone[1] = lucas_kanade.tone_between(pair, there, _SCORED.tone_step)
+    tone[0], tone[1] = 1.0, 0.0
     count, template_sum, image_sum, _, noise = lucas_kanade.accumulate(pair, _SCORED, there, work, column)
     noise *= CORRELATED_PX / 4
     if not (noise > 0 and template_sum > 0 and image_sum > 0):

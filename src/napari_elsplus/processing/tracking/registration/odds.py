@@ -19,7 +19,7 @@ from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
-from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align, tone_between
+from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,7 +43,7 @@ COMPETITORS_PX: Final = (4.0, -4.0, 8.0, -8.0)
 12 and 16 as well as many registrations are wrong, and fewer right ones kept."""
 _HELD: Final = 1e8
 """Information that holds a competing shift where it is, 1 / px^2."""
-_FIT: Final = Iteration(2, 2, 0.02, False, 8)
+_FIT: Final = Iteration(2, 2, 0.02, False)
 """How competing warps are fitted at half resolution; likelihoods take all rows. In a kernel, elements of a tuple have
 the types of variables, whereas each literal number would have what it is passed to compiled once more."""
 
@@ -200,7 +200,7 @@ def log_odds(
         held[3, 1] += 4 * _HELD * down * across
         held[3, 3] += 4 * _HELD * across * across
         rival, correlated_px = in_pixels_of(2.0, full), CORRELATED_PX / 4 / _FIT.row_step
-        work.tone[0], work.tone[1] = tone_between(pair, rival, _FIT.tone_step)
+        work.tone[0], work.tone[1] = 1.0, 0.0
         rival = align(pair, _FIT, in_pixels_of(2.0, centre), held, correlated_px, rival, work.schur, work)[2]
         full = in_pixels_of(0.5, rival)
         less = log_ratio(pair, half, rival, sums)

@@ -34,11 +34,11 @@ SHARP_PRIOR_PX: Final = 1.0
 """Standard deviation of the expected shift, pixels, below which registration begins at half resolution; chosen: half a
 pixel of that."""
 _STAGES: Final = (
-    (2, lucas_kanade.Iteration(1, 12, 0.2, False, 4)),
-    (1, lucas_kanade.Iteration(4, 10, 0.1, False, 8)),
-    (1, lucas_kanade.Iteration(2, 10, 0.1, False, 8)),
-    (0, lucas_kanade.Iteration(6, 4, 0.1, True, 16)),
-    (0, lucas_kanade.Iteration(2, 1, 0.0, True, 16)),
+    (2, lucas_kanade.Iteration(1, 12, 0.2, False)),
+    (1, lucas_kanade.Iteration(4, 10, 0.1, False)),
+    (1, lucas_kanade.Iteration(2, 10, 0.1, False)),
+    (0, lucas_kanade.Iteration(6, 4, 0.1, True)),
+    (0, lucas_kanade.Iteration(2, 1, 0.0, True)),
 )
 """Down the pyramid: levels, and how each is registered; chosen, as docs/levers.md states. Every fourth row of half
 resolution suffices where structure is rich; elsewhere half resolution is repeated with every second."""
@@ -234,16 +234,14 @@ def descend(
         The result, pixels of full resolution.
     """
     work, stiffness = tools.work, tools.work.stiffness
-    correlation, count, begun = 0.0, 0.0, pyramid.LEVELS
+    correlation, count = 0.0, 0.0
+    work.tone[0], work.tone[1] = 1.0, 0.0
     for stage in range(*stages):
         level, how = _STAGES[stage]
         px = 2.0**level
         odds.write_prior(px, terms, odds.prior_terms(warp, expected, terms)[0], stiffness)
         centre, scaled = odds.in_pixels_of(px, expected), odds.in_pixels_of(px, warp)
         pair = pair_of(level if sharp or level else pyramid.HIGH_PASSED, earlier, later, tools)
-        if begun == pyramid.LEVELS or level == 0 < begun:  # from half to full resolution offsets differ
-            work.tone[0], work.tone[1] = lucas_kanade.tone_between(pair, scaled, how.tone_step)
-        begun = level
         correlated_px = odds.CORRELATED_PX / how.row_step / 4**level
         correlation, count, scaled = lucas_kanade.align(
             pair, how, centre, stiffness, correlated_px, scaled, information, work

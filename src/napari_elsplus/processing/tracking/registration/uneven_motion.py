@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 EXACT_PX: Final = 0.1
 """Change of a shift by uneven motion, pixels, up to which the warp of even motion is kept; chosen: it was found at full
 resolution, the change at half of it."""
-_STEPS: Final = lucas_kanade.Iteration(1, 6, 0.02, False, 4)
+_STEPS: Final = lucas_kanade.Iteration(1, 6, 0.02, False)
 """How frames are registered at half resolution."""
 _UNKNOWNS: Final = lucas_kanade.TONE + 6
 """Gain and offset; then the coefficients of a row's shift by its distance from the middle: a, b and J of rows, s, d and
@@ -66,7 +66,7 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
     prior[_OF_JERK, _OF_JERK] = 4 / jerk_sigma**2
     values, mean, right = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS)
     values[_OF_WARP], mean[_OF_WARP] = start, expected
-    values[: lucas_kanade.TONE] = mean[: lucas_kanade.TONE] = lucas_kanade.tone_between(pair, start, _STEPS.tone_step)
+    values[0] = mean[0] = 1.0
     square, sums = 2 / motion.line_periods_per_frame**2, np.empty(5)
     for _ in range(_STEPS.steps):
         noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right, sums)
