@@ -44,29 +44,9 @@ class Vectors:
         """
         return ir.VectorType(kind, self.length)
 
-    def constant(self, numbers: Iterable[float]) -> Any:
-        """Return a vector of known numbers.
-
-        Parameters
-        ----------
-        numbers : iterable of float
-            As many as the vector has, float32.
-        """
-        return ir.Constant(self.of(FLOAT), list(numbers))
-
-    def same(self, number: float) -> Any:
-        """Return a vector of one known number, again and again.
-
-        Parameters
-        ----------
-        number : float
-            float32.
-        """
-        return self.constant([number] * self.length)
-
     def ramp(self) -> Any:
         """Return 0, 1, 2, ... as float32."""
-        return self.constant(float(k) for k in range(self.length))
+        return ir.Constant(self.of(FLOAT), [float(k) for k in range(self.length)])
 
     def spread(self, value: Any) -> Any:
         """Return a vector of one computed number, again and again.
@@ -101,7 +81,7 @@ class Vectors:
         """
         return self._builder.fadd(self._builder.fmul(a, b, flags=_CONTRACT), c, flags=_CONTRACT)
 
-    def load(self, data: Any, element: Any, *, align: int = 4) -> Any:
+    def load(self, data: Any, element: Any) -> Any:
         """Return consecutive numbers of an array.
 
         Parameters
@@ -110,13 +90,11 @@ class Vectors:
             Pointer to float32.
         element : llvmlite.ir.Value
             Index of the first one.
-        align : int
-            Bytes of which its address is a multiple.
         """
         place = self._builder.gep(data, [element])
-        return self._builder.load(self._builder.bitcast(place, self.of(FLOAT).as_pointer()), align=align)
+        return self._builder.load(self._builder.bitcast(place, self.of(FLOAT).as_pointer()), align=4)
 
-    def store(self, vector: Any, data: Any, element: Any, *, align: int = 4) -> None:
+    def store(self, vector: Any, data: Any, element: Any) -> None:
         """Store a vector as consecutive numbers of an array.
 
         Parameters
@@ -127,11 +105,9 @@ class Vectors:
             Pointer to its kind of numbers.
         element : llvmlite.ir.Value
             Index of the first one.
-        align : int
-            Bytes of which its address is a multiple.
         """
         place = self._builder.gep(data, [element])
-        self._builder.store(vector, self._builder.bitcast(place, vector.type.as_pointer()), align=align)
+        self._builder.store(vector, self._builder.bitcast(place, vector.type.as_pointer()), align=4)
 
 
 def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:

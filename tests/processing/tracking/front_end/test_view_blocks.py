@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 
 from napari_elsplus.errors import CalibrationError
-from napari_elsplus.processing.tracking.front_end.binned_blocks import BLOCK
-from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX
-from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, VECTOR, WIDTH
-from napari_elsplus.processing.tracking.front_end.view_blocks import HELD, scratch, view_blocks
-
-MEMORY_PX = WIDTH * 2 * ROWS
+from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK
+from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
 
 def disc(side: int) -> tuple[np.ndarray, np.ndarray]:
@@ -32,30 +28,26 @@ def test_every_lit_pixel_is_filled_from_where_its_view_lies(binning: int, turn: 
     spans = disc(side)
     confocal, residual = shifted(40, 0), shifted(60.3, 350.6, turn, scale)
     blocks = view_blocks(confocal, residual, binning, spans, frame)
-    memory = np.full((MEMORY_PX, 4), np.nan)
-    for group, (begin, end) in enumerate(zip(blocks.first[:-1], blocks.first[1:], strict=True)):
-        for before, here in zip(*(blocks.ends[k + ROWS * group :][:ROWS] for k in (0, HELD)), strict=True):
-            memory[before[0] : here[0]] = memory[here[1] : before[1]] = np.nan
-        for n in range(begin, end):
-            pixels = np.arange(BLOCK)
-            filled = (int(blocks.places[n, 3]) >> pixels & 1).astype(bool)
-            at = (blocks.places[n, :2, None] + binning * pixels)[:, filled]
-            fractions = blocks.fractions[n, :, None] + np.array(blocks.slopes)[:, None] * pixels[filled]
-            rows, cols = np.divmod(at, frame[1])
-            there = np.stack([rows[0], cols[0], rows[1] + fractions[0], cols[1] + fractions[1]], axis=1)
-            assert fractions.min() > -1e-4
-            assert fractions.max() < 1 + 1e-4
-            memory[blocks.places[n, 2] + pixels[filled]] = there
-        for slot in range(group % 2 * ROWS, group % 2 * ROWS + ROWS):
-            row = ROWS * group - ROWS // 2 + slot % ROWS
-            seen = memory[slot * WIDTH + MARGIN : (slot + 1) * WIDTH]
-            lit = np.flatnonzero(~np.isnan(seen[:, 0]))
-            begin_lit, end_lit = (int(span[row]) for span in spans) if 0 <= row < side else (0, 0)
-            np.testing.assert_array_equal(lit, np.arange(begin_lit, max(begin_lit, end_lit)))
-            half = (binning - 1) / 2
-            middle = np.stack([np.full(len(lit), binning * row + half), binning * lit + half, np.ones(len(lit))])
-            expected = np.concatenate([confocal @ middle, residual @ middle]).T - half
-            np.testing.assert_allclose(seen[lit], expected, atol=1e-4)
+    rows_of_memory = scratch(side)
+    memory = np.full((rows_of_memory.size, 4), np.nan)
+    for n in range(len(blocks.places) - AHEAD):
+        pixels = np.arange(BLOCK)
+        filled = (int(blocks.places[n, 3]) >> pixels & 1).astype(bool)
+        at = (blocks.places[n, :2, None] + binning * pixels)[:, filled]
+        fractions = blocks.fractions[n, :, None] + np.array(blocks.slopes)[:, None] * pixels[filled]
+        rows, cols = np.divmod(at, frame[1])
+        there = np.stack([rows[0], cols[0], rows[1] + fractions[0], cols[1] + fractions[1]], axis=1)
+        assert fractions.min() > -1e-4
+        assert fractions.max() < 1 + 1e-4
+        memory[blocks.places[n, 2] + pixels[filled]] = there
+    for row, seen in enumerate(memory.reshape(*rows_of_memory.shape, 4)[:, BLOCK:], -2):
+        lit = np.flatnonzero(~np.isnan(seen[:, 0]))
+        begin_lit, end_lit = (int(span[row]) for span in spans) if 0 <= row < side else (0, 0)
+        np.testing.assert_array_equal(lit, np.arange(begin_lit, max(begin_lit, end_lit)))
+        half = (binning - 1) / 2
+        middle = np.stack([np.full(len(lit), binning * row + half), binning * lit + half, np.ones(len(lit))])
+        expected = np.concatenate([confocal @ middle, residual @ middle]).T - half
+        np.testing.assert_allclose(seen[lit], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(("row", "col"), [(0, 0), (0, 30), (139, 0), (139, 30)])
@@ -66,16 +58,9 @@ def test_blocks_read_within_the_frame(row: int, col: int) -> None:
     assert first >= 0
     assert last < frame[0] * frame[1]
     assert blocks.places[:, 2].min() >= 0
-    assert blocks.places[:, 2].max() + BLOCK <= len(scratch())
+    assert blocks.places[:, 2].max() + BLOCK <= scratch(side).size
 
 
 def test_a_frame_smaller_than_a_block_is_refused() -> None:
     with pytest.raises(CalibrationError, match="frames of 5 x 6 pixels are too small"):
         view_blocks(shifted(0, 0), shifted(0, 0), 1, disc(4), (5, 6))
-
-
-def test_the_largest_grid_fits_the_memory_of_rows() -> None:
-    """A bundle is binned from one and a half of the diameter that is aimed at."""
-    largest = 4 * np.ceil((1.5 * GRID_DIAMETER_PX + 2) / 4)
-    assert VECTOR * np.ceil(largest / VECTOR) + VECTOR + MARGIN <= WIDTH
-    assert BLOCK <= MARGIN

@@ -98,10 +98,10 @@ def _bits(kind: Any) -> int:
 def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     kinds = signature.args
     raw, raw_residual, places, fractions, rows = (
-        data_of(context, builder, kinds[k], arguments[k]) for k in (0, 1, 3, 4, 9)
+        data_of(context, builder, kinds[k], arguments[k]) for k in (0, 1, 3, 4, 8)
     )
     binning = len(kinds[2])
-    first, stop, slopes, weights = arguments[5:9]
+    count, slopes, weights = arguments[5:8]
     cols = cgutils.unpack_tuple(builder, context.make_array(kinds[0])(context, builder, arguments[0]).shape, 2)[1]
     vectors, camera = Vectors(builder, BLOCK), _Camera(builder, kinds[0].dtype, binning)
     tilt, growth = (builder.fmul(vectors.spread(s), vectors.ramp()) for s in cgutils.unpack_tuple(builder, slopes, 2))
@@ -122,7 +122,8 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         beyond = camera.columns(data, pixel(corner, row, 1))[-1]
         return camera.added(here), camera.added([*here[1:], beyond])
 
-    with cgutils.for_range_slice(builder, first, stop, _PLACE(1), intp=_PLACE) as (n, _):
+    with cgutils.for_range(builder, count) as loop:
+        n = loop.index
         later = corners(builder.add(n, _PLACE(AHEAD)))
         for row in range(binning):
             for col in (0, binning * BLOCK - 1):
@@ -147,7 +148,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _bin_blocks(
-    _: Any, raw: Any, raw_residual: Any, pixels: Any, places: Any, fractions: Any, first: Any, stop: Any, slopes: Any,
+    _: Any, raw: Any, raw_residual: Any, pixels: Any, places: Any, fractions: Any, count: Any, slopes: Any,
     weights: Any, rows: Any,
 ) -> Any:  # fmt: skip
     """Fill blocks of the rows of the grid.
@@ -161,8 +162,8 @@ def _bin_blocks(
         0, 1, ...: as many as there are camera pixels per pixel of the grid in a row.
     places, fractions, slopes : numpy.ndarray, numpy.ndarray, tuple of float32
         Of :class:`~napari_elsplus.processing.tracking.front_end.view_blocks.ViewBlocks`.
-    first, stop : int
-        First block that is filled, and the one after the last.
+    count : int
+        Number of blocks.
     weights : tuple of float32
         Of the two views.
     rows : numpy.ndarray
@@ -172,11 +173,11 @@ def _bin_blocks(
     pair = types.UniTuple(real, 2)
     if any(kind.layout != "C" for kind in (raw, raw_residual, places, fractions, rows)):
         return None
-    return types.void(raw, raw_residual, pixels, places, fractions, whole, whole, pair, pair, rows), _build
+    return types.void(raw, raw_residual, pixels, places, fractions, whole, pair, pair, rows), _build
 
 
 bin_blocks = cast(
-    "Callable[[NDArray[Any], NDArray[Any], tuple[int, ...], NDArray[np.int32], NDArray[np.float32], int, int, "
+    "Callable[[NDArray[Any], NDArray[Any], tuple[int, ...], NDArray[np.int32], NDArray[np.float32], int, "
     "tuple[np.float32, np.float32], tuple[np.float32, np.float32], NDArray[np.float32]], None]",
     intrinsic(_bin_blocks),
 )

@@ -1,7 +1,6 @@
 """The two views of a raw frame, binned onto a coarser grid, subtracted and smoothed in one pass over its memory.
 
-Four rows of the grid at a time, so that everything but the camera's memory and the result stays in the processor's
-nearest cache; the memory that comes next is prefetched.
+The camera's memory that comes next is prefetched.
 """
 
 from __future__ import annotations
@@ -11,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
-from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, bin_blocks
-from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, WIDTH, smooth_rows
-from napari_elsplus.processing.tracking.front_end.view_blocks import HELD
+from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK, bin_blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
 @lean_kernel
 def subtract_views(
     raw: Frame, raw_residual: Frame, pixels: tuple[int, ...], blocks: ViewBlocks,
-    weights: tuple[np.float32, np.float32], factors: Image, rows: Image, out: Image,
+    weights: tuple[np.float32, np.float32], scale: Image, offset: Image, binned: Image, out: Image,
 ) -> None:  # fmt: skip
     """Add both views of a frame, binned and weighted; smooth; multiply by a scale and subtract an offset.
 
@@ -41,32 +38,32 @@ def subtract_views(
         Of both views in frames of this size.
     weights : tuple of float32
         Of the two views.
-    factors : numpy.ndarray
-        Scale and offset, of :func:`~napari_elsplus.processing.tracking.front_end.view_blocks.interleaved`. The
-        smoothing kernel 1 4 6 4 1, a Gaussian of one pixel, is not normalised.
-    rows : numpy.ndarray
+    scale, offset : numpy.ndarray
+        (n, n) float32. The smoothing kernel 1 4 6 4 1, a Gaussian of one pixel, is not normalised.
+    binned : numpy.ndarray
         From :func:`~napari_elsplus.processing.tracking.front_end.view_blocks.scratch`.
     out : numpy.ndarray
         (n, n) float32 image, C-contiguous; zero where the scale and the offset are.
     """
-    rows[:] = np.float32(0)
     for n in range(AHEAD):
         for r in range(len(pixels)):
             prefetch(raw, r, blocks.places[n, 0])
             prefetch(raw_residual, r, blocks.places[n, 1])
-    for group in range(len(blocks.first) - 1):
-        for row in range(ROWS * group, ROWS * (group + 1)):
-            before, here = blocks.ends[row], blocks.ends[row + HELD]
-            rows[before[0] : here[0]] = np.float32(0)
-            rows[here[1] : before[1]] = np.float32(0)
-        bin_blocks(
-            raw, raw_residual, pixels, blocks.places, blocks.fractions, blocks.first[group], blocks.first[group + 1],
-            blocks.slopes, weights, rows,
-        )  # fmt: skip
-        if group > 0:
-            half, other = MARGIN + (group - 1) % 2 * ROWS * WIDTH, MARGIN + group % 2 * ROWS * WIDTH
-            row = ROWS * (group - 1)
-            smooth_rows(rows, half, other, factors, 2 * WIDTH * row, out, row)
+    bin_blocks(
+        raw, raw_residual, pixels, blocks.places, blocks.fractions, len(blocks.places) - AHEAD, blocks.slopes, weights,
+        binned.reshape(-1),
+    )  # fmt: skip
+    four, six, side = np.float32(4), np.float32(6), out.shape[1]
+    line = binned[-1]
+    for row in range(len(out)):
+        r0, r1, r2, r3, r4 = binned[row], binned[row + 1], binned[row + 2], binned[row + 3], binned[row + 4]
+        for k in range(len(line)):
+            line[k] = r0[k] + r4[k] + four * (r1[k] + r3[k]) + six * r2[k]
+        c0, c1, c2 = line[BLOCK - 2 :], line[BLOCK - 1 :], line[BLOCK:]
+        c3, c4 = line[BLOCK + 1 :], line[BLOCK + 2 :]
+        into, times, less = out[row], scale[row], offset[row]
+        for k in range(side):
+            into[k] = times[k] * (c0[k] + c4[k] + four * (c1[k] + c3[k]) + six * c2[k]) - less[k]
 
 
 @lean_kernel

@@ -24,12 +24,14 @@ from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KI
 from napari_elsplus.processing.tracking.front_end.binning import subtract_views, survey
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
 from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
-from napari_elsplus.processing.tracking.front_end.view_blocks import interleaved, scratch, view_blocks
+from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+
+    Factors = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
@@ -98,17 +100,17 @@ class FrontEnd:
         self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
         self._dark_level, self._saturated = -np.inf, None
         self._weights = (np.float32(weights[0]), np.float32(weights[1]))
-        self._rows = scratch()
+        self._scratch = scratch(grid.side)
         inside = lit_pixels(*self.lit).astype(np.float32)
         light = _smooth(inside)
         if calibration.flat is not None:
             light = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * light)
         scale = np.divide(inside, light, out=np.zeros_like(inside), where=inside > 0)
-        self._factors = self._scale_alone = interleaved(scale, np.zeros_like(scale))
+        self._factors = self._scale_alone = scale, np.zeros_like(scale)
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
             mended = self._hot_pixels.mended(calibration.background)
-            self._factors = interleaved(scale, self._binned(mended))
+            self._factors = scale, self._binned(mended)
             level = float(calibration.background[self._middle].mean())
             black = float(np.percentile(calibration.background, DARK_PERCENTILE))
             self._dark_level = (level + black) / 2
@@ -156,11 +158,9 @@ class FrontEnd:
             self._add_beyond(raw, raw_residual, limit, out)
         return out
 
-    def _fill(
-        self, raw: NDArray[Any], raw_residual: NDArray[Any], factors: NDArray[np.float32], out: NDArray[np.float32]
-    ) -> None:
+    def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], factors: Factors, out: NDArray[np.float32]) -> None:
         frames, pixels = (_readable(raw), _readable(raw_residual)), tuple(range(self.grid.binning))
-        subtract_views(*frames, pixels, self._blocks, self._weights, factors, self._rows, out)
+        subtract_views(*frames, pixels, self._blocks, self._weights, *factors, self._scratch, out)
 
     def _add_beyond(
         self, raw: NDArray[Any], raw_residual: NDArray[Any], limit: float, out: NDArray[np.float32]

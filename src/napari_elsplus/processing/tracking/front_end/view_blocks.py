@@ -6,14 +6,12 @@ one ends where the run ends, so that it reads no pixels beyond, and fills only p
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK
-from napari_elsplus.processing.tracking.front_end.smoothed_rows import MARGIN, ROWS, VECTOR, WIDTH
-from napari_elsplus.processing.vectors import aligned_zeros
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,35 +20,25 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
     Matrix = NDArray[np.float64]
 
-HELD: Final = 2 * ROWS
-"""Rows that are held at a time."""
-
 
 class ViewBlocks(NamedTuple):
-    """Blocks of the rows of the grid, in groups of four rows that begin two before the grid.
+    """Blocks of the rows of the grid.
 
     Parameters
     ----------
     places : numpy.ndarray
         (blocks, 4) int32: elements of the frame, counted through its rows, of the first camera pixel of the confocal
-        view and of the residual one; element of the memory of rows; bits of the pixels that are filled. The last entry
+        view and of the residual one; element of :func:`scratch`; bits of the pixels that are filled. The last entry
         is repeated for as many blocks as are prefetched ahead.
     fractions : numpy.ndarray
         (blocks, 2) float32: rows and columns of the camera by which the residual view lies beyond its first pixel.
     slopes : tuple of float32
         Their changes from pixel to pixel of the grid.
-    first : numpy.ndarray
-        (groups + 1,) int64: first block of each group, and the number of blocks.
-    ends : numpy.ndarray
-        (rows, 2) int64: elements of the memory of rows of the first pixel of each row and after its last, those of the
-        row that it replaces :data:`HELD` before.
     """
 
     places: NDArray[np.int32]
     fractions: NDArray[np.float32]
     slopes: tuple[np.float32, np.float32]
-    first: Indices
-    ends: Indices
 
 
 def view_blocks(
@@ -78,7 +66,7 @@ def view_blocks(
     first_lit, last_lit = (span.astype(int) for span in spans)
     side = len(first_lit)
     rows, cols = np.nonzero((np.arange(side) >= first_lit[:, None]) & (np.arange(side) < last_lit[:, None]))
-    memory = (rows + ROWS // 2) % HELD * WIDTH + MARGIN + cols
+    memory = (rows + 2) * scratch(side).shape[1] + BLOCK + cols
     corners = np.stack([_corners(view, binning, rows, cols) for view in (confocal, residual)])
     whole = np.floor(corners)
     elements = (frame_shape[1] * whole[:, 0] + whole[:, 1]).astype(int)
@@ -102,31 +90,19 @@ def view_blocks(
     places = np.stack([*at, memory[begin] + start - begin, filled], axis=1).astype(np.uint32).view(np.int32)
     slopes = binning * (residual[:, 1] - (0.0, 1.0))
     fractions = (corners[1] - whole[1])[:, begin] + slopes[:, None] * (start - begin)
-    groups = np.arange(-ROWS // 2, side + ROWS, ROWS)
-    held = np.pad(np.stack([first_lit, last_lit], axis=1), ((HELD + ROWS // 2, ROWS // 2), (0, 0)))
-    ends = held + (np.arange(len(held)) % HELD * WIDTH + MARGIN)[:, None]
     return ViewBlocks(
         np.pad(places, ((0, AHEAD), (0, 0)), mode="edge"),
         np.ascontiguousarray(fractions.T, np.float32),
         (np.float32(slopes[0]), np.float32(slopes[1])),
-        np.searchsorted(rows[begin], groups),
-        ends,
     )
 
 
-def scratch() -> NDArray[np.float32]:
-    """Return the memory of rows."""
-    return aligned_zeros(HELD * WIDTH + BLOCK)
+def scratch(side: int) -> NDArray[np.float32]:
+    """Return memory for the binned rows of a grid of that side, with two rows of zeros on either side, and for a line.
 
-
-def interleaved(scale: NDArray[np.float32], offset: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return scale and offset (n, n) as vectors that take turns, with a fixed number of elements from row to row."""
-    side = len(scale)
-    wide = np.zeros((2, side, WIDTH), np.float32)
-    wide[0, :, :side], wide[1, :, :side] = scale, offset
-    factors = aligned_zeros(wide.size)
-    factors.reshape(side, WIDTH // VECTOR, 2, VECTOR)[:] = wide.reshape(2, side, -1, VECTOR).transpose(1, 2, 0, 3)
-    return factors
+    Rows have margins of a block on either side, into which one that begins before the row, or ends after it, reaches.
+    """
+    return np.zeros((side + 5, side + 2 * BLOCK), np.float32)
 
 
 def _corners(view: Matrix, binning: int, rows: Indices, cols: Indices) -> NDArray[np.float64]:
