@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 _SCORED: Final = lucas_kanade.Iteration(1, 1, 0.0, False)
 """How a rotation is estimated at half resolution: one step."""
+_TONE: Final = lucas_kanade.Iteration(4, 1, 0.0, False)
+"""How gain and offset are estimated before, of which the noise depends: by regression."""
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is tested again and again in a long recording."""
 _REMEMBERED: Final = 64
@@ -211,6 +213,9 @@ def score_rotation(
     nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     there = in_pixels_of(2.0, warp)
     tone[0], tone[1] = 1.0, 0.0
+    count, template_sum, _, both, _ = lucas_kanade.accumulate(pair, _TONE, there, work, None)
+    tone[0] = both / template_sum
+    tone[1] = (work.sums[0] - tone[0] * normal[1, 0]) / count
     count, template_sum, image_sum, _, noise = lucas_kanade.accumulate(pair, _SCORED, there, work, column)
     noise *= CORRELATED_PX / 4
     if not (noise > 0 and template_sum > 0 and image_sum > 0):
