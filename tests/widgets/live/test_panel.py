@@ -549,7 +549,8 @@ def test_a_recording_that_is_opened_and_the_stream_take_each_others_place(viewer
     panel.form.opening.native.click()
     assert str(recorded) in said()[-1][1]
     start(panel, qtbot)
-    assert [layer.name for layer in viewer.layers if layer.visible] == ["live LS", "live ELS+", "live titles"]
+    live = ["live LS", "live ELS+", "live titles"]
+    qtbot.waitUntil(lambda: [layer.name for layer in viewer.layers if layer.visible] == live, timeout=30_000)
 
 
 def test_a_stream_that_another_panel_starts_takes_the_place_of_an_opened_recording(viewer, panel, qtbot):
