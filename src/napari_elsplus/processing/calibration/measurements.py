@@ -196,10 +196,8 @@ def map_galvo(
     if len(volts) != len(frames):
         raise InputError(f"{len(volts)} voltages for {len(frames)} frames of the sweep", "give one voltage per frame")
     seen = brightest(frames)
-    white, painted = (
-        saturation_level(seen),
-        np.subtract(seen, 0 if background is None else background, dtype=np.float32),
-    )
+    white = saturation_level(seen)
+    painted = np.subtract(seen, 0 if background is None else background, dtype=np.float32)
     split = pair.split if pair is not None else column_between_views(painted)
     dark = unlit_pixels(painted, discs=[] if pair is None else pair.discs)
     reference, place = RowReference(dark, background), pair or offset

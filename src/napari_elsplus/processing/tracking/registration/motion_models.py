@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _SCORED: Final = lucas_kanade.Iteration(1, 1, 0.0, False)
 """How a rotation is estimated at half resolution: one step."""
 _TONE: Final = lucas_kanade.Iteration(4, 1, 0.0, False)
-"""How gain and offset are estimated before, of which the noise depends: by regression."""
+"""How gain and offset are estimated before, on which the noise depends: by regression."""
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is tested again and again in a long recording."""
 _REMEMBERED: Final = 64
