@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SECONDS: Final = 12.0
 QUICK_SECONDS: Final = 1.0
-QUANTILES: Final = (0.5, 0.9, 0.99, 0.999, 1.0)
+PERCENTILES: Final = {"p50": "50", "p90": "90", "p99": "99", "p999": "99.9", "max": "100"}
 BUSY_S: Final = 12e-3
 """Time for which a window draws, s."""
 
@@ -66,9 +66,10 @@ def _timed(run: EngineRun) -> TimedElsewhere:
 
 def judge(_: Stream, run: EngineRun) -> Judgement:
     """Latency that one frame in a hundred exceeds; a run that loses a frame has failed."""
-    quantiles = {f"{100 * share:g} % / ms": run.latencies.quantile(share) for share in QUANTILES}
+    latency_ms = run.status.latency_ms
+    quantiles = {f"{percent} % / ms": getattr(latency_ms, name) for name, percent in PERCENTILES.items()}
     return Judgement(
-        run.latencies.quantile(0.99),
+        latency_ms.p99,
         failed=run.lost > 0,
         claim=Claim.DOUBTFUL if run.lost else Claim.SURE,  # the engine has counted them
         details={**quantiles, "lost": run.lost, "camera / Hz": run.status.mean_hz},

@@ -34,14 +34,14 @@ def main(seconds: float, name: str, record: Path | None, here: bool, track: bool
     run = run_engine(Here(name, track=track) if here else Apart(name), seconds, record=record)
     if header:
         click.echo("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
-    latencies, status = run.latencies, run.status
+    status, latency_ms = run.status, run.status.latency_ms
     title = f"{name}, {'one process' if here else 'two processes'}"
     title += (", recording" if record else "") + (", mosaic" if track else "") + f", {run.measured_s:.0f} s"
     cells = (
         title,
         status.acquired,
         run.lost,
-        *(f"{latencies.quantile(share):.1f}" for share in (0.5, 0.99, 0.999, 1)),
+        *(f"{ms:.1f}" for ms in (latency_ms.p50, latency_ms.p99, latency_ms.p999, latency_ms.max)),
         f"{run.cpu_us_per_frame:.0f}",
         f"{run.memory_mb[-1]:.0f}, {run.growth_percent:+.2f} %",
         f"{run.looks / run.measured_s:.0f}",

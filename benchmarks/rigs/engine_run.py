@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import psutil
 
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from benchmarks.rigs.engines import Driven
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.streaming.ring import Ring
-    from napari_elsplus.acquisition.streaming.tally import Latencies
 
 LOOK_S: Final = 1 / 60
 SETTLE_S: Final = 3.0
@@ -34,8 +34,6 @@ class EngineRun:
     ----------
     status : Status
         At the end.
-    latencies : Latencies
-        Of every frame.
     cpu_s : float
         Processor time of the engine's process, simulator included, while it was measured.
     measured_s : float
@@ -47,7 +45,6 @@ class EngineRun:
     """
 
     status: Status
-    latencies: Latencies
     cpu_s: float
     measured_s: float
     memory_mb: np.ndarray[Any, np.dtype[np.float64]]
@@ -99,15 +96,31 @@ def run_engine(
         watched = _Look(engine, between)
         watched.go_on(settle_s)
         watched.seen = 0
-        before, begin_s = engine.usage(), time.perf_counter()
-        memory = [before.memory_mb]
+        process = psutil.Process(engine.pid)
+        before_s, begin_s = _cpu_s(process), time.perf_counter()
+        memory = [_memory_mb(process)]
         while (left_s := begin_s + seconds - time.perf_counter()) > 0:
             watched.go_on(min(left_s, _MEMORY_EVERY_S))
-            memory.append(engine.usage().memory_mb)
-        after, end_s = engine.usage(), time.perf_counter()
+            memory.append(_memory_mb(process))
+        cpu_s, end_s = _cpu_s(process) - before_s, time.perf_counter()
         engine.end()
-        status, latencies = engine.outcome()
-    return EngineRun(status, latencies, after.cpu_s - before.cpu_s, end_s - begin_s, np.array(memory), watched.seen)
+        status = engine.outcome()
+    return EngineRun(status, cpu_s, end_s - begin_s, np.array(memory), watched.seen)
+
+
+def _cpu_s(process: psutil.Process) -> float:
+    """Return the processor time of all threads of a process, seconds."""
+    times = process.cpu_times()
+    return float(times.user + times.system)
+
+
+def _memory_mb(process: psutil.Process) -> float:
+    """Return memory in use in MB, shared rings included; mapped files only where the system is not Linux."""
+    status = Path(f"/proc/{process.pid}/status")
+    if status.exists():
+        fields = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines() if ":" in line)
+        return sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem")) / 1024
+    return float(process.memory_info().rss) / (1 << 20)
 
 
 class _Look:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -11,7 +12,6 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.server import STATUS_PERIOD_S
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
-from napari_elsplus.acquisition.streaming.usage import Usage, usage
 from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Ring
-    from napari_elsplus.acquisition.streaming.tally import Latencies
     from napari_elsplus.instrument.calibration import Calibration
 
 
@@ -46,10 +45,11 @@ class Driven(Protocol):
     def ring(self) -> Ring | None:
         """Return where images are shown."""
 
-    def usage(self) -> Usage:
-        """Return what its process has used."""
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
 
-    def outcome(self) -> tuple[Status, Latencies]:
+    def outcome(self) -> Status:
         """Return what was counted."""
 
 
@@ -93,13 +93,14 @@ class Here:
         """Return where images are shown."""
         return self._engine.display
 
-    def usage(self) -> Usage:
-        """Return what this process has used."""
-        return usage()
+    @property
+    def pid(self) -> int:
+        """Number of this process."""
+        return os.getpid()
 
-    def outcome(self) -> tuple[Status, Latencies]:
+    def outcome(self) -> Status:
         """Return what was counted."""
-        return self._engine.status(), self._engine.latencies()
+        return self._engine.status()
 
     def __enter__(self) -> Self:
         return self
@@ -140,15 +141,15 @@ class Apart:
         """Return where images are shown."""
         return self._client.display()
 
-    def usage(self) -> Usage:
-        """Return what the engine's process has used."""
-        return self._client.usage().result()
+    @property
+    def pid(self) -> int:
+        """Number of the engine's process."""
+        return self._client.pid
 
-    def outcome(self) -> tuple[Status, Latencies]:
+    def outcome(self) -> Status:
         """Return what was counted."""
-        latencies = self._client.latencies().result()
         time.sleep(2 * STATUS_PERIOD_S)  # it says by itself how it went
-        return self._client.status, latencies
+        return self._client.status
 
     def __enter__(self) -> Self:
         return self

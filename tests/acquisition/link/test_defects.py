@@ -65,7 +65,7 @@ def test_replies_come_though_the_status_fails(monkeypatch) -> None:
         server = Thread(target=Server(its, lambda _: None).serve, daemon=True)
         server.start()
         for number in range(2):
-            ours.send(Request(number, "usage", (), {}))
+            ours.send(Request(number, "cancel", (), {}))
             assert ours.poll(SOON_S)
             reply = ours.recv()
             assert isinstance(reply, Reply)
@@ -219,7 +219,7 @@ def test_calibrations_that_are_activated_within_a_moment_take_each_others_place(
     monkeypatch.setattr(Imaging, "activate", activate_once_free)
     others = [calibration.with_optics(um_per_px=1 + 0.1 * number) for number in range(5)]
     used = [served.send("use", other) for other in others]
-    served.call("usage")
+    served.call("setup")
     assert not leave.wait(held_s)
     leave.set()
     for number in used:

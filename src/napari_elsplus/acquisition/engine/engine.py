@@ -19,7 +19,6 @@ from napari_elsplus.acquisition.engine.run import Run
 from napari_elsplus.acquisition.engine.status import Status
 from napari_elsplus.acquisition.engine.watcher import Watcher
 from napari_elsplus.acquisition.streaming.faults import FaultLog
-from napari_elsplus.acquisition.streaming.tally import Latencies
 from napari_elsplus.closing import ClosedOnExit
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.instrument.arguments import require_calibration
@@ -296,10 +295,6 @@ class Engine(ClosedOnExit):
             faults=self._faults.all(),
             stale={} if self._run is None else self.setup.stale(self.calibration),
         )
-
-    def latencies(self) -> Latencies:
-        """Return the number of frames of this run by latency."""
-        return Latencies() if self._run is None else self._run.tally.latency.counts()
 
     def close(self) -> None:
         """Stop, finish the recording, park, and close the rig; an operation that runs ends."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.link.messages import Request
     from napari_elsplus.acquisition.link.session import Session
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-    from napari_elsplus.acquisition.streaming.tally import Latencies
-    from napari_elsplus.acquisition.streaming.usage import Usage
     from napari_elsplus.errors import MeasurementError
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Draft, Setup
@@ -159,18 +157,6 @@ class Commands:
     def stop_recording(session: Session) -> None:
         """Finish the recording; returns when the file is complete."""
         session.engine.stop_recording()
-
-    @command()
-    def latencies(session: Session) -> Latencies:
-        """Return how many frames of this run had which latency."""
-        return session.engine.latencies()
-
-    @command(needs_rig=False)
-    def usage(session: Session) -> Usage:
-        """Return processor time and memory of the engine's process."""
-        from napari_elsplus.acquisition.streaming.usage import usage
-
-        return usage()
 
     # the mosaic
 

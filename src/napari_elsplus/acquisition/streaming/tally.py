@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
 _BINS_PER_MS: Final = 50
 """Bins of 0.02 ms, chosen: a hundredth of the median latency."""
+_QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
 _MAX_MS: Final = 2000
 """Latencies from here on share a bin; as long as frames stay in memory."""
 _RATE_FRAMES: Final = 120
@@ -24,37 +23,13 @@ _RATE_FRAMES: Final = 120
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """Milliseconds from the last byte of a frame to its result: median, 99th percentile, largest."""
+    """Milliseconds from the last byte of a frame to its result: median, other percentiles, largest."""
 
     p50: float = nan
+    p90: float = nan
     p99: float = nan
+    p999: float = nan
     max: float = nan
-
-
-class Latencies(NamedTuple):
-    """Number of frames by latency.
-
-    Attributes
-    ----------
-    ms : numpy.ndarray
-        Lower edges of the bins that are not empty, increasing.
-    frames : numpy.ndarray
-        Frames in each.
-    """
-
-    ms: NDArray[np.float64] = np.zeros(0)
-    frames: NDArray[np.int64] = np.zeros(0, np.int64)
-
-    def quantile(self, share: float) -> float:
-        """Return the latency that a share of the frames, 0 to 1, does not exceed, to a bin; NaN if there is none.
-
-        Examples
-        --------
-        >>> Latencies(np.array([1.0, 5.0]), np.array([99, 1])).quantile(0.99)
-        1.0
-        """
-        total = self.frames.sum()
-        return float(self.ms[np.searchsorted(np.cumsum(self.frames), share * total)]) if total else nan
 
 
 class LatencyHistogram:
@@ -65,8 +40,8 @@ class LatencyHistogram:
     >>> histogram = LatencyHistogram()
     >>> for ms in (1, 2, 3, 4):
     ...     histogram.add(1e-3 * ms)
-    >>> histogram.summary().max
-    4.0
+    >>> histogram.summary().p50, histogram.summary().max
+    (2.02, 4.0)
     """
 
     def __init__(self) -> None:
@@ -80,18 +55,15 @@ class LatencyHistogram:
         self._largest_ms = max(self._largest_ms, ms)
 
     def summary(self) -> Latency:
-        """Return median, 99th percentile and maximum; NaN where nothing was counted."""
+        """Return median, 90th, 99th and 99.9th percentile and maximum; NaN where nothing was counted."""
         total = self._counts.sum()
         if not total:
             return Latency()
         upto = np.cumsum(self._counts)
-        p50, p99 = (float(np.searchsorted(upto, share * total) + 1) / _BINS_PER_MS for share in (0.5, 0.99))
-        return Latency(min(p50, self._largest_ms), min(p99, self._largest_ms), self._largest_ms)
-
-    def counts(self) -> Latencies:
-        """Return the bins that are not empty."""
-        filled = np.flatnonzero(self._counts)
-        return Latencies(filled / _BINS_PER_MS, self._counts[filled])
+        below = np.searchsorted(upto, np.multiply(_QUANTILES, total))
+        quantiles_ms = np.minimum((below + 1) / _BINS_PER_MS, self._largest_ms)
+        p50, p90, p99, p999 = quantiles_ms.tolist()
+        return Latency(p50, p90, p99, p999, self._largest_ms)
 
 
 class Tally:

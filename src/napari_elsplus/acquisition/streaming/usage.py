@@ -1,46 +1,15 @@
-"""Processor time, by thread, and memory of the engine's process; its age."""
+"""Processor time of the engine's process, by thread; its age."""
 
 from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import psutil
 
 NATIVE: Final = "native"
 """Name for threads that Python has not started, those of gRPC for instance."""
-_STATUS = Path("/proc/self/status")
-
-
-@dataclass(frozen=True, slots=True)
-class Usage:
-    """Resources of one process, at one moment.
-
-    Parameters
-    ----------
-    cpu_s : float
-        Processor time of all its threads since it began.
-    memory_mb : float
-        Memory in use, shared rings included, mapped files not; these only on Linux, which counts them apart.
-    """
-
-    cpu_s: float
-    memory_mb: float
-
-
-def usage() -> Usage:
-    """Return the processor time and memory of this process."""
-    return Usage(time.process_time(), _memory_mb())
-
-
-def _memory_mb() -> float:
-    if _STATUS.exists():
-        fields = dict(line.split(":", 1) for line in _STATUS.read_text(encoding="ascii").splitlines() if ":" in line)
-        return sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem")) / 1024
-    return float(psutil.Process().memory_info().rss) / (1 << 20)
 
 
 def thread_times_s() -> dict[str, float]:
