@@ -142,7 +142,7 @@ def calibration_history(folder: Path) -> CalibrationHistory:
     comparable = (one for one in found if _identity(one[1]) == _identity(newest))
     kept = list({one[0]: one for one in comparable}.values())  # a copy counts once
     trends = []
-    for quantity in QUANTITIES:
+    for quantity in filter(lambda one: one.watched, QUANTITIES):
         points = [((time_s - newest_s) / _DAY_S, *value) for time_s, one, _ in kept if (value := quantity.of(one))]
         if points and points[-1][0] == 0:
             days, values, sigmas = np.array(points, np.float64).T
@@ -176,26 +176,32 @@ def _sum_of_squares(days: NDArray[np.float64]) -> float:
 
 
 class Quantity(NamedTuple):
-    """A number of a calibration.
+    """A number of a calibration, for its report and for the history of a rig's calibrations.
 
     Parameters
     ----------
     name, unit : str
         As displayed.
+    step : str
+        Key of the calibration step that measures it; empty for what the camera states.
     section, value : str
         Section of the calibration, and its field with the number.
     sigma : str
         Field with the standard deviation; empty where none is stated.
     factor : float or None
         From the field's unit to the displayed one; None: micrometres per pixel of the calibration.
+    watched : bool
+        Its history is tested for drift.
     """
 
     name: str
     unit: str
+    step: str
     section: str
     value: str
     sigma: str = ""
     factor: float | None = 1.0
+    watched: bool = True
 
     def of(self, calibration: Calibration) -> tuple[float, float] | None:
         """Return value and standard deviation (0 where none is stated) in a `calibration`; None where not measured."""
@@ -208,14 +214,19 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES: Final = (
-    Quantity("slit offset", "rows", "offset", "rows", "uncertainty_rows"),
-    Quantity("slit offset in micrometres", "µm", "offset", "rows", "uncertainty_rows", None),
-    Quantity("tilt of the line", "degrees", "offset", "tilt_deg"),
-    Quantity("galvo", "mV per row", "galvo", "volts_per_row", "volts_per_row_uncertainty", 1e3),
-    Quantity("galvo at row 0", "mV", "galvo", "volts_at_row_zero", "volts_at_row_zero_uncertainty", 1e3),
-    Quantity("scan lag", "µs", "galvo", "lag_s", factor=1e6),
-    Quantity("bundle diameter", "px", "bundle", "diameter_px", "diameter_uncertainty_px"),
-    Quantity("gain of the residual view", "", "bundle", "residual_gain", "residual_gain_uncertainty"),
-    Quantity("alignment error", "%", "quality", "alignment_error", factor=100.0),
+    Quantity("slit offset", "rows", "offset", "offset", "rows", "uncertainty_rows"),
+    Quantity("slit offset in micrometres", "µm", "offset", "offset", "rows", "uncertainty_rows", None),
+    Quantity("tilt of the line", "degrees", "offset", "offset", "tilt_deg"),
+    Quantity("galvo", "mV per row", "galvo", "galvo", "volts_per_row", "volts_per_row_uncertainty", 1e3),
+    Quantity("galvo at row 0", "mV", "galvo", "galvo", "volts_at_row_zero", "volts_at_row_zero_uncertainty", 1e3),
+    Quantity("residuals of the galvo map", "rows RMS", "galvo", "galvo", "rms_rows", watched=False),
+    Quantity("scan lag", "µs", "lag", "galvo", "lag_s", factor=1e6),
+    Quantity("bundle diameter", "px", "pair", "bundle", "diameter_px", "diameter_uncertainty_px"),
+    Quantity("gain of the residual view", "", "pair", "bundle", "residual_gain", "residual_gain_uncertainty"),
+    Quantity("scale", "µm per px", "pair", "optics", "um_per_px", watched=False),
+    Quantity("line period", "µs", "", "optics", "line_period_s", factor=1e6, watched=False),
+    Quantity("line periods per frame", "", "", "optics", "line_periods_per_frame", watched=False),
+    Quantity("alignment error", "%", "pair", "quality", "alignment_error", factor=100.0),
+    Quantity("alignment error, filtered", "%", "pair", "quality", "alignment_error_filtered", "", 100.0, watched=False),
 )
-"""Numbers whose history is tested for drift."""
+"""Numbers of a calibration that are single values."""

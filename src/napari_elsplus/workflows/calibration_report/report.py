@@ -16,6 +16,7 @@ from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.step import StepState
 from napari_elsplus.processing.calibration.steps import calibration_steps
 from napari_elsplus.processing.calibration.summaries import unevenness, with_uncertainty
+from napari_elsplus.workflows.calibration_report.history import QUANTITIES
 from napari_elsplus.workflows.calibration_report.plots import picture
 from napari_elsplus.workflows.pictures.curves import PAPER_COLOURS
 
@@ -96,7 +97,7 @@ class Number(NamedTuple):
     step : str
         Key of the step that measures it; empty for the optics.
     quantity, value, unit : str
-        Value with one standard deviation; empty where another row or none has it.
+        Value with one standard deviation, where it is known.
     """
 
     step: str
@@ -113,50 +114,23 @@ def calibration_numbers(calibration: Calibration) -> list[Number]:
     calibration : Calibration
         Complete or not; a section that was not measured has none.
     """
-    rows: list[Number] = []
-    offset, galvo, bundle = calibration.offset, calibration.galvo, calibration.bundle
-    optics, quality, scale = calibration.optics, calibration.quality, calibration.um_per_px
-    if offset is not None:
-        rows.append(Number("offset", "slit offset", with_uncertainty(offset.rows, offset.uncertainty_rows), "rows"))
-        if scale is not None:
-            um = with_uncertainty(offset.rows * scale, offset.uncertainty_rows * scale)
-            rows.append(Number("offset", "", um, "µm"))
-        rows.append(Number("offset", "tilt of the line", f"{offset.tilt_deg:.3f}", "degrees"))
-    if galvo is not None:
-        per_row = _maybe(1e3 * galvo.volts_per_row, galvo.volts_per_row_uncertainty, 1e3)
-        at_zero = _maybe(1e3 * galvo.volts_at_row_zero, galvo.volts_at_row_zero_uncertainty, 1e3)
-        rows.append(Number("galvo", "galvo", per_row, "mV per row"))
-        rows.append(Number("galvo", "galvo at row 0", at_zero, "mV"))
-        rows.append(Number("galvo", "residuals of the galvo map", f"{galvo.rms_rows:.3f}", "rows RMS"))
-        lag = ("not measured", "") if galvo.lag_s is None else (f"{1e6 * galvo.lag_s:.2f}", "µs")
-        rows.append(Number("lag", "scan lag", *lag))
-    if bundle is not None:
-        for name, centre in (("confocal", bundle.confocal_centre), ("residual", bundle.residual_centre)):
-            rows.append(Number("pair", f"{name} centre (row, col)", f"{centre[0]:.2f}, {centre[1]:.2f}", "px"))
-        rows.append(Number("pair", "bundle diameter", _maybe(bundle.diameter_px, bundle.diameter_uncertainty_px), "px"))
-        gain = with_uncertainty(bundle.residual_gain, bundle.residual_gain_uncertainty)
-        rows.append(Number("pair", "gain of the residual view", gain, ""))
-    if scale is not None:
-        rows.append(Number("pair", "scale", f"{scale:.4f}", "µm per px"))
-    if optics is not None and optics.line_period_s is not None:
-        rows.append(Number("", "line period", f"{1e6 * optics.line_period_s:.3f}", "µs"))
-    if optics is not None and optics.line_periods_per_frame is not None:
-        rows.append(Number("", "line periods per frame", f"{optics.line_periods_per_frame:.2f}", ""))
-    if quality is not None:
-        rows.append(Number("pair", "alignment error", f"{100 * quality.alignment_error:.2f}", "%"))
-        filtered = f"{100 * quality.alignment_error_filtered:.2f}"
-        cores = (quality.core_filter or "core").replace("gaussian", "Gaussian")
-        rows.append(Number("pair", f"after the {cores} filter", filtered, "%"))
+    rows = [
+        Number(one.step, one.name, with_uncertainty(*found) if found[1] else f"{found[0]:.4g}", one.unit)
+        for one in QUANTITIES
+        if (found := one.of(calibration)) is not None
+    ]
+    if calibration.bundle is not None:
+        centres = {"confocal": calibration.bundle.confocal_centre, "residual": calibration.bundle.residual_centre}
+        rows += [
+            Number("pair", f"{view} centre (row, col)", f"{row:.2f}, {col:.2f}", "px")
+            for view, (row, col) in centres.items()
+        ]
     if calibration.background is not None:
         level = f"{float(calibration.background.mean()):.2f}"
         rows.append(Number("background", "mean of the background", level, "grey levels"))
     if calibration.flat is not None:
         rows.append(Number("flat", "unevenness", f"{100 * unevenness(calibration.flat):.1f}", "%"))
     return rows
-
-
-def _maybe(value: float, uncertainty: float | None, factor: float = 1.0) -> str:
-    return f"{value:.5g}" if uncertainty is None else with_uncertainty(value, uncertainty * factor)
 
 
 def _setup(calibration: Calibration) -> Setup:
