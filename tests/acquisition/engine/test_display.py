@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
 import pytest
 
 from napari_elsplus.acquisition.engine.display import Display, on_the_heap
 from napari_elsplus.acquisition.engine.engine import Engine
-from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.streaming.ring import Layout, Ring
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
 
-SHAPES = (40, 60), (50, 60)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def display_of(make: Callable[[Layout], tuple[str, Ring]]) -> tuple[Display, Any]:
+    setup: Any = SimpleNamespace(configured=True, frame_shape=(40, 60))
+    display = Display(setup, make)
+    display.renew()
+    return display, setup
 
 
 def test_a_ring_that_cannot_be_made_leaves_the_display_as_it_was() -> None:
@@ -22,25 +32,28 @@ def test_a_ring_that_cannot_be_made_leaves_the_display_as_it_was() -> None:
             raise OSError(28, "No space left on device")
         return on_the_heap(layout)
 
-    display = Display(make)
-    sink = display.renew(SHAPES[0], None, LiveView())
-    fails = True
+    display, setup = display_of(make)
+    sink = display.sink
+    assert sink is not None
+    fails, setup.frame_shape = True, (50, 60)
     with pytest.raises(OSError, match="No space"):
-        display.renew(SHAPES[1], None, LiveView())
+        display.renew()
     display.close_retired()
     assert display.sink is sink
     slot = sink.ring.acquire()
     sink.ring.finalize(slot, frame_number=1, received_s=0.0, readout_start_s=0.0)
     fails = False
-    assert display.renew(SHAPES[1], None, LiveView()).ring is not sink.ring
+    display.renew()
+    assert display.sink.ring is not sink.ring
     display.close()
 
 
 @pytest.mark.parametrize("make", [on_the_heap, lambda layout: ("", SharedRing.create(layout))])
 def test_a_ring_is_closed_once_however_often_it_is_asked(make) -> None:
     """Before: AttributeError, the second time."""
-    display = Display(make)
-    ring = display.renew(SHAPES[0], None, LiveView()).ring
+    display, _ = display_of(make)
+    assert display.sink is not None
+    ring = display.sink.ring
     ring.close()
     display.close()
     assert ring.newest_after(-1, {}) is None
@@ -54,7 +67,7 @@ def test_a_galvo_that_is_not_parked_is_said_though_the_display_fails(engine: Eng
     def failing() -> None:
         raise OSError("a defect of shared memory")
 
-    monkeypatch.setattr(engine._imaging.display, "close", failing)
+    monkeypatch.setattr(engine._display, "close", failing)
     with pytest.raises(OSError, match="a defect"):
         engine.close()
     assert closed == ["galvo"]

@@ -581,12 +581,12 @@ def test_park_is_at_once_while_a_view_is_made(
     engine.start()
     making, made = Event(), Event()
 
-    def slowly(*_: Any) -> None:
+    def slowly(**_: Any) -> None:
         making.set()
         made.wait(20)
         raise CalibrationError("no view", "choose another")
 
-    monkeypatch.setattr(engine._imaging.display, "renew", slowly)
+    monkeypatch.setattr(engine._display, "renew", slowly)
 
     def show() -> None:
         with suppress(CalibrationError):
@@ -617,7 +617,7 @@ def test_frames_go_on_whatever_fails_beside_them(
     if part == "recorder":
         monkeypatch.setattr(RecordingWriter, "append", fails)
     if part == "sectioning":
-        monkeypatch.setattr(engine._imaging.display.sink.images, "add", fails)  # type: ignore[union-attr]
+        monkeypatch.setattr(engine._display.sink.images, "add", fails)  # type: ignore[union-attr]
     engine.start()
     engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
     until(lambda: any(part in fault.problem for fault in engine.status().faults))

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from napari_elsplus.acquisition.engine.display import DisplaySink
 from napari_elsplus.acquisition.engine.live_images import LiveImages, LiveView
-from napari_elsplus.acquisition.engine.workers import DisplaySink, ProcessingWorker
+from napari_elsplus.acquisition.engine.workers import ProcessingWorker
 from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.acquisition.streaming.stream import FrameStream
@@ -38,7 +39,8 @@ def test_only_frames_that_are_displayed_are_sectioned(
     stream, tally, late_s = FrameStream(SHAPE, 64), Tally(), list[float]()
     monkeypatch.setattr(tally.latency, "add", late_s.append)
     tracker: Any = SimpleNamespace(add=lambda raw, stamp: None) if tracked else None
-    worker = ProcessingWorker(stream, DisplaySink(images, ring), tally, FaultLog(), tracker)
+    display: Any = SimpleNamespace(sink=DisplaySink(images, ring))
+    worker = ProcessingWorker(stream, display, tally, FaultLog(), tracker)
     worker.start()
     deadline_s, stamp = time.perf_counter() + 10, None
     for number in range(1, sectioned[-1] + 1):
@@ -70,7 +72,8 @@ def test_images_of_one_frame_are_sectioned_into_the_ring_and_a_failure_is_a_faul
 
     monkeypatch.setattr(Sectioner, "fill", failing)
     stream, tally, faults = FrameStream(SHAPE, 64), Tally(), FaultLog()
-    worker = ProcessingWorker(stream, DisplaySink(images, ring), tally, faults, None)
+    display: Any = SimpleNamespace(sink=DisplaySink(images, ring))
+    worker = ProcessingWorker(stream, display, tally, faults, None)
     worker.start()
     slot = stream.acquire()
     stream.finalize(slot, frame_number=0, received_s=time.perf_counter(), readout_start_s=0.0)

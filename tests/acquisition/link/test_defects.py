@@ -12,8 +12,8 @@ from threading import Event, Thread
 import pytest
 
 from napari_elsplus.acquisition.calibrating.live import LiveMeasurement
+from napari_elsplus.acquisition.engine.display import Display
 from napari_elsplus.acquisition.engine.engine import Engine
-from napari_elsplus.acquisition.engine.imaging import Imaging
 from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.link.messages import QUIT, Reply, Request
 from napari_elsplus.acquisition.link.server import Server
@@ -209,14 +209,14 @@ def test_calibrations_that_are_activated_within_a_moment_take_each_others_place(
     served, calibration, monkeypatch, held_s: float
 ) -> None:
     """Before: they were refused after 5 s, activated in any order, and kept other commands waiting."""
-    activate, leave, seen = Imaging.activate, Event(), []
+    activate, leave, seen = Display.activate, Event(), []
 
-    def activate_once_free(imaging: Imaging, one: Calibration | None, **options: bool) -> None:
+    def activate_once_free(display: Display, one: Calibration | None, **options: bool) -> None:
         leave.wait(SOON_S)
-        activate(imaging, one, **options)
+        activate(display, one, **options)
         seen.append(one)
 
-    monkeypatch.setattr(Imaging, "activate", activate_once_free)
+    monkeypatch.setattr(Display, "activate", activate_once_free)
     others = [calibration.with_optics(um_per_px=1 + 0.1 * number) for number in range(5)]
     used = [served.send("use", other) for other in others]
     served.call("setup")

@@ -10,10 +10,9 @@ from dataclasses import replace
 from threading import RLock
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.acquisition.engine.camera_setup import SlowBusError
-from napari_elsplus.acquisition.engine.display import on_the_heap
+from napari_elsplus.acquisition.engine.camera_setup import CameraSetup, SlowBusError
+from napari_elsplus.acquisition.engine.display import Display, on_the_heap
 from napari_elsplus.acquisition.engine.galvo import GalvoController
-from napari_elsplus.acquisition.engine.imaging import Imaging
 from napari_elsplus.acquisition.engine.operations import Operations
 from napari_elsplus.acquisition.engine.run import Run
 from napari_elsplus.acquisition.engine.status import Status
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Settings
-    from napari_elsplus.acquisition.engine.workers import DisplaySink, FrameConsumer
+    from napari_elsplus.acquisition.engine.workers import FrameConsumer
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.rig import Rig
@@ -78,8 +77,8 @@ class Engine(ClosedOnExit):
         self._rig, self._buffer_s = rig, buffer_s
         self._run: Run | None = None
         self.operations = Operations()
-        self._imaging = Imaging(rig, make_ring, self._replace_sink)
-        self.setup = self._imaging.setup
+        self.setup = CameraSetup(rig)
+        self._display = Display(self.setup, make_ring)
         self._faults = FaultLog()
         self.galvo = GalvoController(rig, self.setup, self.operations, self._faults)
         self._lock = RLock()
@@ -142,7 +141,7 @@ class Engine(ClosedOnExit):
     def show(self, view: LiveView | None) -> None:
         """Make live images for a view, none for None; a calibration that lacks what it needs is a CalibrationError."""
         with self._lock:
-            self._imaging.show(view)
+            self._display.show(view)
 
     def track(self, tracker: FrameConsumer | None) -> None:
         """Pass every frame to a tracker, too."""
@@ -154,7 +153,7 @@ class Engine(ClosedOnExit):
     @property
     def calibration(self) -> Calibration | None:
         """The active calibration."""
-        return self._imaging.calibration
+        return self._display.calibration
 
     def start(self, *, scan: bool = True) -> None:
         """Scan and stream; at the default rate as fast as the bus carries, which the first start measures.
@@ -178,7 +177,7 @@ class Engine(ClosedOnExit):
             try:
                 self._start(scan)
             except SlowBusError:
-                self._imaging.configure(self.setup.settings)
+                self._configure(self.setup.settings)
                 self._start(scan)
 
     def stop(self) -> None:
@@ -261,7 +260,7 @@ class Engine(ClosedOnExit):
     @property
     def display(self) -> Ring | None:
         """The ring of the newest images."""
-        sink = self._imaging.display.sink
+        sink = self._display.sink
         return None if sink is None else sink.ring
 
     def fresh_frames(self, count: int, after_s: float = 0.0) -> NDArray[np.uint8]:
@@ -291,7 +290,7 @@ class Engine(ClosedOnExit):
             scanning=self.galvo.scanning,
             park_state=self.galvo.park_state,
             disk_bytes_per_s=self.setup.bytes_per_s,
-            display=self._imaging.display.where,
+            display=self._display.where,
             faults=self._faults.all(),
             stale={} if self._run is None else self.setup.stale(self.calibration),
         )
@@ -313,7 +312,7 @@ class Engine(ClosedOnExit):
                 finally:
                     self._rig.close()
                     self.galvo.close()
-                    self._imaging.display.close()
+                    self._display.close()
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
@@ -322,13 +321,12 @@ class Engine(ClosedOnExit):
 
     def _start(self, scan: bool) -> None:
         if scan:
-            self._imaging.require_fit()
+            self._display.require_fit()
         waveform = self.galvo.waveform(self.calibration) if scan else None
         self._faults.clear()
         self.finish_recording()
-        sink = self._imaging.display.sink
-        assert sink is not None
-        run = Run(self.setup, sink, self._faults, self._scanned_by, tracker=self._tracker, buffer_s=self._buffer_s)
+        display = self._display
+        run = Run(self.setup, display, self._faults, self._scanned_by, tracker=self._tracker, buffer_s=self._buffer_s)
         try:
             self.galvo.watch_frames(lambda: run.received)
             self.galvo.follow(waveform, self.calibration)
@@ -339,8 +337,9 @@ class Engine(ClosedOnExit):
             raise
         self._run, self._live, self.setup.settling = run, True, 0
 
-    def _configure(self, settings: Settings, live: bool) -> None:
-        self._imaging.configure(settings)
+    def _configure(self, settings: Settings, live: bool = False) -> None:
+        self.setup.configure(settings)
+        self._display.renew(raw_if_misfit=True)
         if live:
             self.start()
 
@@ -355,17 +354,13 @@ class Engine(ClosedOnExit):
             self.setup.configured = False
 
     def _activate(self, calibration: Calibration | None, *, restoring: bool = False) -> None:
-        self._imaging.activate(calibration, restoring=restoring)
+        self._display.activate(calibration, restoring=restoring)
         try:
             self.galvo.park_by(calibration)
         except DeviceError as error:
             if not restoring:
                 raise
             self._faults.add("scanner", error)
-
-    def _replace_sink(self, sink: DisplaySink) -> None:
-        if self._run is not None:
-            self._run.processing.sink = sink
 
     def _end_run(self) -> None:
         """Park first, so that the light leaves the tissue; then end the stream, or what is left of it."""
@@ -375,7 +370,7 @@ class Engine(ClosedOnExit):
         self.galvo.try_to_park()
         self.galvo.watch_frames(None)
         self._run.stop()
-        self._imaging.display.close_retired()
+        self._display.close_retired()
 
     def _check(self) -> None:
         """Raise what has failed in a stream that should run."""

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.engine.camera_setup import CameraSetup
-    from napari_elsplus.acquisition.engine.workers import DisplaySink, FrameConsumer
+    from napari_elsplus.acquisition.engine.display import Display
+    from napari_elsplus.acquisition.engine.workers import FrameConsumer
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.instrument.calibration import Calibration
@@ -47,8 +48,8 @@ class Run:
     ----------
     setup : CameraSetup
         Its camera is configured; started and stopped by the run.
-    sink : DisplaySink
-        Makes the live images.
+    display : Display
+        Receives the live images.
     faults : FaultLog
         Receives faults.
     scanned_by : callable
@@ -62,7 +63,7 @@ class Run:
     def __init__(
         self,
         setup: CameraSetup,
-        sink: DisplaySink,
+        display: Display,
         faults: FaultLog,
         scanned_by: Callable[[], Calibration | None],
         *,
@@ -75,7 +76,7 @@ class Run:
         self._setup, self._camera, self._faults = setup, camera, faults
         self._stream = FrameStream(camera.frame_shape, max(MIN_DEPTH, round(buffer_s * frame_rate_hz)))
         self._camera_worker = CameraWorker(camera, self._stream, self.tally, faults, setup.settling)
-        self.processing = ProcessingWorker(self._stream, sink, self.tally, faults, tracker)
+        self.processing = ProcessingWorker(self._stream, display, self.tally, faults, tracker)
         self._agreement = AgreementWatch(scanned_by, self._newest_frames, partial(faults.add, "processing"))
         self._recorder: Recorder | None = None
         self._held = ExitStack()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from math import inf
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
-from napari_elsplus.acquisition.engine.live_images import LiveImages, Measures
+from napari_elsplus.acquisition.engine.live_images import Measures
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.priority import Rank, join_frame_core
 from napari_elsplus.hardware.protocols import HasClock
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from napari_elsplus.acquisition.engine.display import Display, DisplaySink
+    from napari_elsplus.acquisition.engine.live_images import LiveImages
     from napari_elsplus.acquisition.streaming.faults import FaultLog
-    from napari_elsplus.acquisition.streaming.ring import Ring, Slot, Stamp
+    from napari_elsplus.acquisition.streaming.ring import Slot, Stamp
     from napari_elsplus.acquisition.streaming.stream import FrameStream
     from napari_elsplus.acquisition.streaming.tally import Tally
     from napari_elsplus.hardware.protocols import Camera, FrameInfo
@@ -90,13 +92,6 @@ class EvenClock:
                 start_s = due_s
         self._last = info.frame_number, start_s
         return start_s
-
-
-class DisplaySink(NamedTuple):
-    """Makes the live images, with the display's ring of their layout."""
-
-    images: LiveImages
-    ring: Ring
 
 
 class FrameConsumer(Protocol):
@@ -239,8 +234,8 @@ class ProcessingWorker(Thread):
     ----------
     stream : FrameStream
         Source of the frames.
-    sink : DisplaySink
-        Makes and receives the images; may be replaced while frames stream.
+    display : Display
+        Its sink makes and receives the images; may be replaced while frames stream.
     tally : Tally
         Counts frames and latencies.
     faults : FaultLog
@@ -252,14 +247,14 @@ class ProcessingWorker(Thread):
     def __init__(
         self,
         stream: FrameStream,
-        sink: DisplaySink,
+        display: Display,
         tally: Tally,
         faults: FaultLog,
         tracker: FrameConsumer | None,
     ) -> None:
         super().__init__(name="processing", daemon=True)
         self._stream, self._tally, self._faults = stream, tally, faults
-        self.sink, self.tracker = sink, tracker
+        self._display, self.tracker = display, tracker
         self.measures = Measures()
         self._due_s = 0.0
         self._begun = -1
@@ -276,7 +271,8 @@ class ProcessingWorker(Thread):
                     break
                 continue
             raw, stamp = taken
-            tracker, sink = self.tracker, self.sink
+            tracker, sink = self.tracker, self._display.sink
+            assert sink is not None, "a camera that streams is configured"
             if tracker is not None:
                 self._track(tracker, raw, stamp)
             displayed = False
