@@ -123,10 +123,10 @@ def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> 
     write(folder, text)
     settings = read_rig("mine")
     assert rig_names() == ["simulated", "simulated-real", "mine"]
-    assert settings.limits().natural_hz == 800
-    assert settings.limits().max_v == 2.0
+    assert settings.mirror.natural_hz == 800
+    assert settings.mirror.max_v == 2.0
     assert settings.camera.strobe is StrobePhase.READOUT
-    assert settings.card_settings() == CardSettings(-0.8, device="cDAQ1", falling=False)
+    assert settings.card == CardSettings(-0.8, device="cDAQ1", falling=False)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +143,10 @@ def test_a_users_own_rig_is_a_readable_file_that_comes_back_the_same(folder) -> 
         ("[card]\npark_v = -0.7\n[mirror]\nmin_v = -0.5\n", "park_v -0.7 is outside min_v -0.5"),
         ("[card]\npark_v = -0.7\nlaser_line = 'PFI3'\n", "laser_line.*PFI3"),
         ("[card]\npark_v = -0.7\noutput = 'ai0'\n", "output.*ai0"),
+        ("[card]\npark_v = -0.7\ncounter = 0\n", "card.counter"),
+        ("[card]\npark_v = -0.7\n[mirror]\nnatural_hz = 0.0\n", "rig mine: natural_hz is 0"),
+        ("[card]\npark_v = -0.7\n[mirror]\nmax_v = 11.0\n", "-2 to 11 V"),
+        ("[card]\npark_v = -0.7\n[mirror]\nmaxv = 1.0\n", "mirror.maxv"),
         ("[simulation]\nimperfections = {galvo = 800}\n", "no imperfection is called 'galvo'"),
         ("[simulation]\nimperfections = {row-noise = 300}\n", "row-noise is 300, outside of 0 to 20"),
         ("[simulation]\n[card]\npark_v = -0.7\n", "card"),

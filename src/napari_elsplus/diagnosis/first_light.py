@@ -332,7 +332,7 @@ def _card(name: str) -> None:
     settings = rig_settings(name)
     if not isinstance(settings, RigSettings):
         raise InputError(f"the rig {name} is simulated", "name one whose file has a card")
-    _print(dry_run(settings.card_settings(), settings.limits()))
+    _print(dry_run(settings.card, settings.mirror))
 
 
 @first_light.command("parking")

@@ -63,7 +63,7 @@ def open_scanner(settings: RigSettings) -> Scanner:
     DeviceError
         If the card is absent, busy or fails.
     """
-    kind, card, limits = settings.scanner.kind, settings.card_settings(), settings.limits()
+    kind, card, limits = settings.scanner.kind, settings.card, settings.mirror
     if ":" in kind:
         scanner: Scanner = open_outside(kind, Scanner, card, limits, **settings.scanner.options)
         return scanner

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.daq.output import MAX_HOLD_S, CardSettings
+from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.micro_manager.frame_count import CORE_NUMBER
 from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL
 from napari_elsplus.hardware.scan.timing import StrobePhase
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from typing import Self
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Volts = Annotated[float, Field(ge=-10, le=10, allow_inf_nan=False)]
 RESERVED = (SIMULATED, SIMULATED_REAL)
 """Names that no file may take."""
 
@@ -102,39 +101,6 @@ class ScannerTable(_DriverTable):
     kind: Annotated[str, AfterValidator(_kind_among(SCANNER_KINDS))] = "nidaqmx"
 
 
-class CardTable(_Table):
-    """Card and wiring; the parking voltage has to be measured or confirmed by the user."""
-
-    park_v: Volts
-    device: str = "Dev1"
-    output: Annotated[str, Field(pattern=r"^ao\d+$")] = "ao0"
-    counter: Annotated[str, Field(pattern=r"^ctr\d+$")] = "ctr0"
-    strobe: str = "PFI0"
-    falling: bool = True
-    hold_limit_s: Annotated[float, Field(gt=0, le=MAX_HOLD_S)] = 20.0
-    laser_line: Annotated[str, Field(pattern=r"^(port\d+/line\d+)?$")] = ""
-    laser_on_high: bool = True
-    address: str = ""
-
-
-class GalvoTable(_Table):
-    """Limits of galvo and card."""
-
-    min_v: Volts = -2.0
-    max_v: Volts = 2.0
-    max_slew_v_per_s: Positive = 1.0e4
-    max_acceleration_v_per_s2: Positive = 5.0e7
-    card_samples: Annotated[int, Field(gt=0)] = 8191
-    natural_hz: Positive | None = None
-    damping: Positive = 0.7
-
-    @model_validator(mode="after")
-    def _range_is_not_empty(self) -> Self:
-        if not self.min_v < self.max_v:
-            raise ValueError(f"min_v {self.min_v:g} is not below max_v {self.max_v:g}")
-        return self
-
-
 class SimulationTable(_Table):
     """A simulated instrument in the place of devices."""
 
@@ -154,7 +120,7 @@ class SimulationTable(_Table):
 class _Settings(_Table):
     """Content of a rig file: its tables."""
 
-    mirror: GalvoTable = GalvoTable()
+    mirror: GalvoLimits = GalvoLimits()
 
     @classmethod
     def parse(cls, content: dict[str, Any], name: str) -> Self:
@@ -174,6 +140,8 @@ class _Settings(_Table):
         """
         try:
             settings = cls.model_validate(content)
+        except InputError as error:
+            raise InputError(f"rig {name}: {error.problem}", f"{error.remedy}, in the rig's file") from None
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
@@ -181,10 +149,6 @@ class _Settings(_Table):
             problem = ": ".join(filter(None, (f"rig {name}", where, first["msg"].removeprefix("Value error, "))))
             raise InputError(f"{problem}{value}", "correct it in the rig's file") from None
         return settings
-
-    def limits(self) -> GalvoLimits:
-        """Return the limits of the galvo."""
-        return GalvoLimits(**self.mirror.model_dump())
 
 
 class SimulatedRigSettings(_Settings):
@@ -210,11 +174,11 @@ class RigSettings(_Settings):
 
     Examples
     --------
-    >>> RigSettings.parse({"card": {"park_v": -0.7}}, "mine").card_settings().park_v
+    >>> RigSettings.parse({"card": {"park_v": -0.7}}, "mine").card.park_v
     -0.7
     """
 
-    card: CardTable
+    card: CardSettings
     camera: CameraTable = CameraTable()
     scanner: ScannerTable = ScannerTable()
 
@@ -224,10 +188,6 @@ class RigSettings(_Settings):
         if not low <= park_v <= high:
             raise ValueError(f"the parking position park_v {park_v:g} is outside min_v {low:g} to max_v {high:g}")
         return self
-
-    def card_settings(self) -> CardSettings:
-        """Return the settings of the card."""
-        return CardSettings(**self.card.model_dump())
 
 
 def rig_folder() -> Path:

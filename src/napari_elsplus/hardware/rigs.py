@@ -80,19 +80,19 @@ def _simulated_rig(name: str, settings: SimulatedRigSettings, simulation: Simula
     if name != SIMULATED:
         fields = {"bundle": Bundle(seed=settings.simulation.bundle_seed), **simulation.instrument}
         simulation = replace(
-            simulation, limits=settings.limits(), imperfections=settings.imperfections, instrument=fields
+            simulation, limits=settings.mirror, imperfections=settings.imperfections, instrument=fields
         )
     return simulated_rig(name, simulation, held)
 
 
 def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
-    limits = settings.limits()
+    limits = settings.mirror
     camera = held.enter_context(open_camera(settings.camera))
     scanner = held.enter_context(open_scanner(settings))  # last in, first out: the galvo parks first
     if isinstance(scanner, DaqScanner):
         guardian = guard_scanner(scanner, CardOrder.of(scanner), held, scanner.interrupt)
     else:
-        card = replace(settings.card_settings(), park_v=scanner.park_v)
+        card = replace(settings.card, park_v=scanner.park_v)
         order = DriverOrder(settings.scanner.kind, card, limits, settings.scanner.options, tuple(sys.path))
         guardian = guard_scanner(scanner, order, held, partial(_park, scanner))
     return Rig(name, camera, scanner, limits, settings.camera.strobe, guardian)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import dataclass
-from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.daq.calls import Calls
@@ -23,11 +23,17 @@ READ_BACK_TOLERANCE_V: Final = 0.02
 """Volts; derived: some errors of such a card's input (mV at +-10 V), a fifth of what clears the bundle by 100 um."""
 READ_BACK_TIMEOUT_S: Final = 0.5
 """Seconds; chosen: far above the time of one sample."""
+CHANNELS: Final = {
+    "output": (r"ao\d+", "ao0"),
+    "counter": (r"ctr\d+", "ctr0"),
+    "laser_line": (r"(port\d+/line\d+)?", "port0/line0"),
+}
+"""Patterns of the card's channels as NI names them, with an example."""
 
 
 @dataclass(frozen=True, slots=True)
 class CardSettings:
-    """Card and wiring.
+    """Card and wiring; table ``card`` of a rig file.
 
     Parameters
     ----------
@@ -49,8 +55,10 @@ class CardSettings:
     Raises
     ------
     InputError
-        If a number is impossible.
+        If a number or a name is impossible.
     """
+
+    __pydantic_config__: ClassVar = {"extra": "forbid"}  # for a rig file, where an unknown key is a misspelling
 
     park_v: float
     device: str = "Dev1"
@@ -64,12 +72,13 @@ class CardSettings:
     address: str = ""
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.park_v) and abs(self.park_v) <= 10):
-            raise InputError(f"the parking voltage is {self.park_v}", "give a voltage within -10 to 10 V")
+        if not abs(self.park_v) <= 10:
+            raise InputError(f"the parking voltage park_v is {self.park_v:g}", "give a voltage within -10 to 10 V")
         if not 0 < self.hold_limit_s <= MAX_HOLD_S:
-            raise InputError(
-                f"the hold limit is {self.hold_limit_s} s", f"give more than 0 and at most {MAX_HOLD_S:g} s"
-            )
+            raise InputError(f"hold_limit_s is {self.hold_limit_s:g}", f"give more than 0 and at most {MAX_HOLD_S:g} s")
+        for name, (pattern, example) in CHANNELS.items():
+            if not re.fullmatch(pattern, getattr(self, name)):
+                raise InputError(f"{name} is {getattr(self, name)!r}", f"give a name such as {example}")
 
 
 class Output:

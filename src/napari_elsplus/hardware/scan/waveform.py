@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, pi, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -39,7 +39,7 @@ BRIDGE_SAMPLES: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class GalvoLimits:
-    """Limits of galvo and card; drives beyond them are refused before anything is put out.
+    """Limits of galvo and card, table ``mirror`` of a rig file; drives beyond them are refused before they are put out.
 
     Parameters
     ----------
@@ -55,6 +55,8 @@ class GalvoLimits:
         Damping ratio of that resonance.
     """
 
+    __pydantic_config__: ClassVar = {"extra": "forbid"}  # for a rig file, where an unknown key is a misspelling
+
     min_v: float = -2.0
     max_v: float = 2.0
     max_slew_v_per_s: float = 1.0e4
@@ -64,11 +66,18 @@ class GalvoLimits:
     damping: float = 0.7
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.min_v) and isfinite(self.max_v) and -10 <= self.min_v < self.max_v <= 10):
-            raise InputError(f"the galvo's range is {self.min_v} to {self.max_v} V", "it must lie within -10 to 10 V")
-        for name in ("max_slew_v_per_s", "max_acceleration_v_per_s2", "card_samples", "damping"):
-            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name} is {getattr(self, name)}", "it must be a positive number")
+        if not self.min_v < self.max_v:
+            raise InputError(
+                f"min_v {self.min_v:g} is not below max_v {self.max_v:g}", "give a lower and a higher voltage"
+            )
+        if not -10 <= self.min_v < self.max_v <= 10:
+            raise InputError(
+                f"the galvo's range is {self.min_v:g} to {self.max_v:g} V", "give min_v and max_v within 10 V"
+            )
+        for name in ("max_slew_v_per_s", "max_acceleration_v_per_s2", "card_samples", "natural_hz", "damping"):
+            value = getattr(self, name)
+            if value is not None and not (isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value:g}", "give a positive number")
 
     def check(self, volts: float | Volts, what: str = "the galvo") -> None:
         """Refuse voltages outside the range.
