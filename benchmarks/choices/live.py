@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +21,7 @@ from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, Templa
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight, Trajectory
 from napari_elsplus.workflows.tracking import Pipeline
-from napari_elsplus.workflows.two_threads import Pipelined
+from napari_elsplus.workflows.two_threads import tracking_images
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -84,9 +85,11 @@ def _ours(*, two_threads: bool = False) -> Callable[[Case], Callable[[Live], Tim
             pipeline = Pipeline(rig.calibration, rig.instrument.frame_shape)
             start = clock()
             if two_threads:
-                with Pipelined(pipeline) as threads:
-                    for k, raw in enumerate(item.raw):
-                        threads.add(raw, k)
+                images = tracking_images(pipeline, ((raw, raw) for raw in item.raw), len(item.raw))
+                for k, image in enumerate(images):
+                    pose = pipeline.estimate_pose(image)
+                    pipeline.note(pose, k, np.nan)
+                    pipeline.insert(partial(np.asarray, image), pose)
             else:
                 for k, raw in enumerate(item.raw):
                     pipeline.add(raw, k)

@@ -12,7 +12,7 @@ from benchmarks.studies.stages import STAGES, our_stages
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Straight
 from napari_elsplus.workflows.tracking import Pipeline
-from napari_elsplus.workflows.two_threads import Pipelined
+from napari_elsplus.workflows.two_threads import tracking_images
 
 FRAMES = 48
 PATHS = {"hand, 1.5 mm/s": HandHeld(1500.0), "straight, 8 mm/s": Straight(8000.0)}
@@ -41,9 +41,12 @@ class Tracking:
             pipeline.add(raw, number)
 
     def time_two_threads(self, path):
-        with Pipelined(self.pipeline()) as threads:
-            for number, raw in enumerate(self.raw):
-                threads.add(raw, number)
+        pipeline = self.pipeline()
+        images = tracking_images(pipeline, ((raw, raw) for raw in self.raw), len(self.raw))
+        for number, image in enumerate(images):
+            pose = pipeline.estimate_pose(image)
+            pipeline.note(pose, number, np.nan)
+            pipeline.insert(lambda image=image: image, pose)
 
     def track_pair_error_px(self, path):
         pipeline = self.pipeline()

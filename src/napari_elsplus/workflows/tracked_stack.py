@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import closing
 from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -21,7 +21,7 @@ from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.sectioning import RawPairs
 from napari_elsplus.workflows.tracking import UNLINKED
-from napari_elsplus.workflows.two_threads import Pipelined
+from napari_elsplus.workflows.two_threads import tracking_images
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -142,17 +142,24 @@ class TrackedStack:
             self.calibration, self.notes = self._timed()
             if self.calibration is not given:
                 self._set_out()
-        lead = self.lead
-        with Pipelined(lead, insert=False) if threads == 2 and not grow else nullcontext() as ahead:
-            skip, add = (lead.skip, lead.add if grow else lead.track) if ahead is None else (ahead.skip, ahead.add)
-            for index in progress(range(len(self._pairs))):
-                frame = self._pairs.frame(index)
-                raw, raw_residual = self._pairs(index)
-                skip(self._pairs.lost_before(index))
-                add(raw, frame, nan if self._times_s is None else float(self._times_s[frame]), raw_residual)
-                if grow:
-                    self.rows.append(lead.rows[-1])
-                    self._follow(lead.poses[-1], frame)
+        lead, pairs, indices = self.lead, self._pairs, range(len(self._pairs))
+        if grow:
+            for index in progress(indices):
+                raw, raw_residual = pairs(index)
+                lead.skip(pairs.lost_before(index))
+                lead.add(raw, pairs.frame(index), self._time_s(index), raw_residual)
+                self.rows.append(lead.rows[-1])
+                self._follow(lead.poses[-1], pairs.frame(index))
+            return
+        images = tracking_images(lead, map(pairs, indices), len(pairs), threads=threads)
+        with closing(iter(images)) as coming:
+            for index, image in zip(progress(indices), coming, strict=True):
+                lead.skip(pairs.lost_before(index))
+                lead.note(lead.estimate_pose(image), pairs.frame(index), self._time_s(index))
+
+    def _time_s(self, index: int) -> float:
+        """Return the time of an image in seconds; NaN where times are unknown."""
+        return nan if self._times_s is None else float(self._times_s[self._pairs.frame(index)])
 
     def finish(self, progress: ProgressWrapper = iter) -> None:
         """Close loops, join segments, and render the mosaics; parameters as of :meth:`run`."""

@@ -139,7 +139,8 @@ class Pipeline:
             (rows, cols) frame of which the residual view is used (ELSA); the same one by default.
         """
         pose, image = self.locate(raw, raw_residual)
-        self.append(image, pose, frame, time_s)
+        self.note(pose, frame, time_s)
+        self.insert(lambda: image, pose)
         return self.rows[-1]
 
     def locate(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> tuple[Pose, NDArray[np.float32]]:
@@ -151,7 +152,7 @@ class Pipeline:
     ) -> TrackPoint:
         """Do what :meth:`add` does without inserting; :meth:`finish` makes the mosaics."""
         pose, _ = self.locate(raw, raw_residual)
-        self._note(pose, frame, time_s)
+        self.note(pose, frame, time_s)
         return self.rows[-1]
 
     def prepare_image(
@@ -168,25 +169,10 @@ class Pipeline:
         """Return the pose of the next frame from its tracking image: the second stage of :meth:`add`."""
         return self._tracking.estimate_pose(image)
 
-    def append(self, image: NDArray[np.float32], pose: Pose, frame: int, time_s: float, *, insert: bool = True) -> None:
-        """Append a frame to the track and insert its image into the mosaic: the last stage of :meth:`add`.
-
-        Parameters
-        ----------
-        image : numpy.ndarray
-            (side, side) float32 tracking image.
-        pose : Pose
-            Its pose.
-        frame : int
-            Frame number.
-        time_s : float
-            Time of the frame, seconds.
-        insert : bool
-            False to leave the mosaic as it is.
-        """
-        self._note(pose, frame, time_s)
-        if insert:
-            self.insert(lambda: image, pose)
+    def note(self, pose: Pose, frame: int, time_s: float) -> None:
+        """Append the pose of a frame, by its number and its time in seconds, to the track."""
+        self.poses.append(pose)
+        self.rows.append(self._row(pose, frame, time_s))
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert a raw frame at a pose that the pipeline of another mode has estimated; others as of :meth:`add`."""
@@ -309,10 +295,6 @@ class Pipeline:
         grid = replace(self.grid, line_offset=self._line_offset)
         self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
-
-    def _note(self, pose: Pose, frame: int, time_s: float) -> None:
-        self.poses.append(pose)
-        self.rows.append(self._row(pose, frame, time_s))
 
     @property
     def _scales(self) -> tuple[float, float]:

@@ -154,7 +154,7 @@ class LiveTrack:
                 self.pipeline.skip(number - self.pipeline.rows[-1].frame - 1)
             pose, image = self.pipeline.locate(raw)
             place = self._corrections.newest(pose.segment).of(pose)
-            self.pipeline.append(image, place, number, time_s, insert=False)
+            self.pipeline.note(place, number, time_s)
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
             found = TrackedFrame(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
             self._insert(found, raw, image)
