@@ -16,7 +16,7 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -71,24 +71,20 @@ def settled_frames(engine: Engine, count: int, settled_s: float = MOVED_S) -> ND
     return engine.fresh_frames(count, time.perf_counter() + settled_s)
 
 
-def take_held(engine: Engine, volts: float, count: int) -> NDArray[np.uint8]:
-    """Take a count of frames, (count, rows, cols), with an engine, the line held at a voltage in volts."""
+def take_frames(engine: Engine, move: Callable[[], None], count: int) -> NDArray[np.uint8]:
+    """Take a count of frames, (count, rows, cols), after the line was moved.
+
+    Parameters
+    ----------
+    engine : Engine
+        Streaming or not.
+    move : callable
+        Holds the line, parks it, or starts a scan.
+    count : int
+        Number of frames.
+    """
     with streaming(engine):
-        engine.hold(volts)
-        return settled_frames(engine, count)
-
-
-def take_parked(engine: Engine, count: int) -> NDArray[np.uint8]:
-    """Take a count of frames, (count, rows, cols), with an engine, the line parked."""
-    with streaming(engine):
-        engine.park()
-        return settled_frames(engine, count)
-
-
-def take_scanning(engine: Engine, count: int) -> NDArray[np.uint8]:
-    """Take a count of frames, (count, rows, cols), with an engine, the line scanning."""
-    with streaming(engine):
-        engine.scan()
+        move()
         return settled_frames(engine, count)
 
 
@@ -130,7 +126,7 @@ def find_span(engine: Engine, progress: ProgressWrapper = iter) -> tuple[float, 
     """
     limits = engine.galvo.limits
     volts = np.linspace(limits.min_v, limits.max_v, SEARCH_VOLTAGES)
-    dark = take_parked(engine, SEARCH_FRAMES).mean(axis=0)
+    dark = take_frames(engine, engine.park, SEARCH_FRAMES).mean(axis=0)
     heights = _heights(take_sweep(engine, volts, progress), dark)
     seen = lit_voltages(heights)
     if not len(seen):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,9 +14,7 @@ from napari_elsplus.acquisition.calibrating.capture import (
     find_span,
     settled_frames,
     streaming,
-    take_held,
-    take_parked,
-    take_scanning,
+    take_frames,
     take_sweep,
 )
 from napari_elsplus.errors import MeasurementError
@@ -148,21 +147,23 @@ class LiveMeasurement:
         if step.capture in {Capture.SCANNING, Capture.LEADS}:
             draft.calibration.require("galvo", "bundle")
             engine.use(draft.calibration, scan=False)
+        move: Callable[[], None]
         match step.capture:
             case Capture.HELD:
-                inputs = StepInputs(take_held(engine, self.middle_v(draft), step.frames), setup)
+                move = partial(engine.hold, self.middle_v(draft))
+            case Capture.PARKED:
+                move = engine.park
+            case Capture.SCANNING:
+                move = engine.scan
             case Capture.SWEEP:
                 volts = np.linspace(*self._span(draft), self._voltages)
                 frames = take_sweep(engine, volts, progress)
                 inputs = StepInputs(frames, setup, volts, progress=self._progress_of(f"{step.title}: fit"))
-            case Capture.PARKED:
-                inputs = StepInputs(take_parked(engine, step.frames), setup)
-            case Capture.SCANNING:
-                inputs = StepInputs(take_scanning(engine, step.frames), setup)
+                return step.estimate(inputs, draft)
             case Capture.LEADS:
                 with streaming(engine):
                     return step.estimate(StepInputs((), setup, scans=TrialScans(engine), progress=progress), draft)
-        return step.estimate(inputs, draft)
+        return step.estimate(StepInputs(take_frames(engine, move, step.frames), setup), draft)
 
     def middle_v(self, draft: Draft) -> float:
         """Return the voltage that puts the line onto the middle of the bundle; searched if no draft contains it."""
