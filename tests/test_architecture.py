@@ -66,7 +66,7 @@ ORDER = (
     "hardware.virtual.named_thread",
     "hardware.virtual.galvo",
     "hardware.virtual.remembered_frames",
-    "hardware.virtual.frame_source",
+    "hardware.virtual.scene_frames",
     "hardware.virtual.card",
     "hardware.virtual.camera",
     "hardware.virtual.bench",

@@ -13,7 +13,7 @@ from benchmarks.rigs.clipped_response import clipped_drop_offs
 from benchmarks.studies import printed
 from benchmarks.studies.sectioning import mean_residual, measure_axial, weigh_offset
 from napari_elsplus.processing.analysis.slit_offset import fit_saturation
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.workflows.pictures.axial import draw_axial_response
 from napari_elsplus.workflows.pictures.files import save_figure
@@ -84,7 +84,7 @@ def _instrument(offset_um: float, slit_um: float = 2.9, state: str = "a") -> Ins
 
 
 def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
-    ls, closed_ls = measured[29.0], drop_offs(offset_um=None)
+    ls, closed_ls = measured[29.0], model_drop_offs(offset_um=None)
     clipped_ls, _ = clipped_drop_offs(_instrument(29.0))
     rows = [
         "| 3 dB / 10 dB (um) | paper | closed form | with the rim | raw frames | raw frames off the paper |",
@@ -97,7 +97,7 @@ def _offset_table(measured: dict[float, AxialResponse]) -> list[str]:
     ]
     for offset, response in measured.items():
         paper = [printed.els_drop_off_um(offset, decibel) for decibel in (3, 10)]
-        closed, clipped = drop_offs(offset_um=offset), clipped_drop_offs(_instrument(offset))[1]
+        closed, clipped = model_drop_offs(offset_um=offset), clipped_drop_offs(_instrument(offset))[1]
         rows.append(
             f"| ELS, offset {offset:.0f} | {paper[0]:.1f} / {paper[1]:.1f} "
             f"| {closed.drop_3db_um:.1f} / {closed.drop_10db_um:.1f} "

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.studies import printed
 from benchmarks.studies.sectioning import sharper_line_drop_offs
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs, signal_kept
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_drop_offs, signal_kept
 from napari_elsplus.workflows.pictures.comparison import COLOURS
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def drop_off_against_offset(measured: Mapping[float, AxialResponse]) -> Figure:
     """Drop-off distances against slit offset: closed form, raw frames, and the paper's fits."""
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     offsets_um = np.linspace(3, 90, 80)
-    closed = np.array([drop_offs(offset_um=offset) for offset in offsets_um.tolist()])
+    closed = np.array([model_drop_offs(offset_um=offset) for offset in offsets_um.tolist()])
     for axes, column, decibel in zip(figure.subplots(1, 2), (0, 1), (3, 10), strict=True):
         fit = [printed.els_drop_off_um(offset, decibel) for offset in offsets_um.tolist()]
         axes.plot(offsets_um, fit, "--", color=PAPER_COLOUR, label="ELS, paper's fit")

@@ -15,7 +15,7 @@ from napari_elsplus.processing.images.warping import polynomial_terms
 from napari_elsplus.simulation.axial_scan import lit_for_plate
 from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.model.bundle import Cores
-from napari_elsplus.simulation.rendering.scan import Scan
+from napari_elsplus.simulation.rendering.scan import LineScan
 from napari_elsplus.simulation.rendering.views import views
 from napari_elsplus.simulation.specimen.scenes import Plane, Scene, nuclei, plate, uniform
 from napari_elsplus.simulation.specimen.textures import Mottle, Nuclei
@@ -324,7 +324,7 @@ def own_distances_um(rig: ImperfectRig, line_rows: Rows) -> tuple[float, float]:
     jitter_rows = instrument.imperfections.line_jitter_rows
 
     def els(depth_um: float) -> float:
-        scan = Scan(instrument, plate(depth_um + instrument.line.gap_um), cores)
+        scan = LineScan(instrument, plate(depth_um + instrument.line.gap_um), cores)
         lights = [[scan.light(view, line_rows + side * jitter_rows) for view in seen] for side in (-1, 1)]
         ls, residual = (sum(float((one[k].steady - one[k].of_bundle).sum()) for one in lights) for k in (0, 1))
         return ls - residual

@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 
 from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
 from napari_elsplus.processing.axial.profiles import SQUARE_UM
-from napari_elsplus.simulation.model.axial_response import DropOffs, Response, gaussian_over_slit
-from napari_elsplus.simulation.model.illumination import edge
+from napari_elsplus.simulation.model.axial_response import ModelDropOffs, ModelResponse, gaussian_over_slit
+from napari_elsplus.simulation.model.illumination import vignetting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +33,7 @@ _NODES_UM: Final = np.r_[0.0, np.geomspace(10.0, 1.1 * MAX_DEPTH_UM, 13)]
 """Depths, um, at which vignetting is computed; it varies slowly and is interpolated between them."""
 
 
-def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> Response:
+def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> ModelResponse:
     """Return confocal, residual and ELS+ signal of a stained plate in the central square, against its distance.
 
     Noise, cores and pixels are neglected.
@@ -62,10 +62,10 @@ def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> Response:
     depth = np.asarray(depth_um, np.float64)
     ls, residual = (_signal(instrument, offset_um)(depth) for offset_um in (0.0, instrument.offset_um))
     contact = _signal(instrument, 0.0)(np.zeros(1))[0]
-    return Response(ls / contact, residual / contact, (ls - residual) / contact)
+    return ModelResponse(ls / contact, residual / contact, (ls - residual) / contact)
 
 
-def clipped_drop_offs(instrument: Instrument) -> tuple[DropOffs, DropOffs]:
+def clipped_drop_offs(instrument: Instrument) -> tuple[ModelDropOffs, ModelDropOffs]:
     """Return an instrument's 3 dB and 10 dB distances of LS and of ELS+ in the central square; NaN beyond 800 um.
 
     Examples
@@ -79,7 +79,7 @@ def clipped_drop_offs(instrument: Instrument) -> tuple[DropOffs, DropOffs]:
     return _drop_offs(confocal), _drop_offs(lambda depth: confocal(depth) - residual(depth))
 
 
-def _drop_offs(signal: Signal) -> DropOffs:
+def _drop_offs(signal: Signal) -> ModelDropOffs:
     contact = float(signal(np.zeros(1))[0])
 
     def distance(share: float) -> float:
@@ -88,13 +88,13 @@ def _drop_offs(signal: Signal) -> DropOffs:
 
         return float(brentq(above, 0.0, MAX_DEPTH_UM)) if above(MAX_DEPTH_UM) < 0 else float("nan")
 
-    return DropOffs(distance(LEVEL_3DB), distance(LEVEL_10DB))
+    return ModelDropOffs(distance(LEVEL_3DB), distance(LEVEL_10DB))
 
 
 def _signal(instrument: Instrument, offset_um: float) -> Signal:
     """Return the mean signal of the central square as a function of depth, for a line at an offset from the slit."""
     line, slit_um = instrument.line, instrument.slit_um
-    rim = edge(instrument.bundle.radius_um, line, slit_um)
+    rim = vignetting(instrument.bundle.radius_um, line, slit_um)
     inside = np.abs(rim.grid_um) <= SQUARE_UM / 2
     off_um = offset_um + np.tan(np.deg2rad(instrument.line_tilt_deg)) * rim.grid_um[inside]
     nodes_um = _NODES_UM + line.gap_um

@@ -12,7 +12,7 @@ from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
 from napari_elsplus.simulation.calibration_scenes import background
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, drop_offs
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_drop_offs
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import paper, plate
@@ -103,8 +103,8 @@ def sharper_line_drop_offs(slits_um: NDArray[np.float64]) -> NDArray[np.float64]
     return np.array(
         [
             (
-                *drop_offs(offset_um=None, slit_um=slit, line=line),
-                *drop_offs(offset_um=77.0, slit_um=slit, line=line),
+                *model_drop_offs(offset_um=None, slit_um=slit, line=line),
+                *model_drop_offs(offset_um=77.0, slit_um=slit, line=line),
             )
             for slit in slits_um.tolist()
         ]

@@ -10,7 +10,13 @@ import numpy as np
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.analysis.slit_offset import contrast_to_noise
 from napari_elsplus.processing.tracking.front_end.grid import overlap_of_discs
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel, drop_offs, line_response, signal_kept
+from napari_elsplus.simulation.model.axial_response import (
+    LINE_MODELS,
+    LineModel,
+    line_response,
+    model_drop_offs,
+    signal_kept,
+)
 
 if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.line.location import Line
@@ -101,7 +107,7 @@ def predict_performance(
     (120, 0.82, 0.06)
     """
     offset_um = abs(offset_um)
-    drops = drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)
+    drops = model_drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)
     aside = line_response(0.0, offset_um, slit_um, line) / line_response(0.0, 0.0, slit_um, line)
     confocal_e = max(light_dn, 0.0) * ELECTRONS_PER_DN / 10 ** (gain_db / 20)
     noise = contrast_to_noise(confocal_e, confocal_e * float(aside), np.sqrt(2) * READ_NOISE_E)

@@ -16,7 +16,7 @@ import pytest
 from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.link.commands import COMMANDS, Commands, Turn
+from napari_elsplus.acquisition.link.commands import COMMANDS, Commands, Scheduling
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.virtual.card.process import start_card
@@ -66,8 +66,11 @@ def sweep(client: EngineClient) -> Future[object]:
 def test_client_and_server_have_the_same_commands_from_one_table() -> None:
     assert {name for name in vars(EngineClient) if name in COMMANDS} == set()
     assert all(getattr(Commands, name) is command for name, command in COMMANDS.items())
-    assert {name for name, command in COMMANDS.items() if command.turn is Turn.IMMEDIATE} >= {"park", "cancel"}
-    assert not any(c.while_recording for c in COMMANDS.values() if c.turn is Turn.PROCEDURE)
+    assert {name for name, command in COMMANDS.items() if command.scheduling is Scheduling.IMMEDIATE} >= {
+        "park",
+        "cancel",
+    }
+    assert not any(c.while_recording for c in COMMANDS.values() if c.scheduling is Scheduling.PROCEDURE)
 
 
 def test_what_would_disturb_a_procedure_is_refused_and_told_what_runs(client: EngineClient) -> None:

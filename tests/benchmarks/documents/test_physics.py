@@ -9,7 +9,7 @@ import pytest
 from benchmarks.documents import physics
 from benchmarks.documents.physics_charts import kept_signal
 from napari_elsplus.processing.axial import axial_response as axial
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_response
 from napari_elsplus.workflows.sectioning_performance import SectioningPerformance, predict_performance
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def closed_form(instrument: Instrument, *, seed: int = 0, light: float = 1.0) ->
     """What a scan without noise would give; each seed's plate a thousandth brighter, so that they differ."""
     depth_um = np.arange(0.0, 900.0, 2.0)
     slit_um = instrument.slit_rows * instrument.optics.um_per_px
-    response = axial_response(depth_um, offset_um=instrument.offset_um, slit_um=slit_um, line=instrument.line)
+    response = model_response(depth_um, offset_um=instrument.offset_um, slit_um=slit_um, line=instrument.line)
     bright = 80 * light
     return axial.axial_response(depth_um, (bright + seed / 1000) * response.ls, bright * response.residual)
 

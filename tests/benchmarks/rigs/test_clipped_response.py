@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.rigs.clipped_response import MAX_DEPTH_UM, clipped_drop_offs, clipped_response
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response, drop_offs
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_drop_offs, model_response
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import plate
@@ -30,14 +30,14 @@ def test_near_the_focus_a_rim_far_away_takes_nothing() -> None:
     line = replace(LINE_MODELS["b"], halo_share=0.0)
     instrument = upright(29.0, line=line)
     clipped = clipped_response(instrument, DEPTHS_UM[:4])
-    closed = axial_response(DEPTHS_UM[:4], offset_um=29.0, slit_um=instrument.slit_um, line=line)
+    closed = model_response(DEPTHS_UM[:4], offset_um=29.0, slit_um=instrument.slit_um, line=line)
     assert clipped.ls == pytest.approx(closed.ls, abs=2e-4)
     assert clipped.residual == pytest.approx(closed.residual, abs=2e-4)
 
 
 def test_the_rim_takes_from_afar_more_from_ls_than_from_els() -> None:
     ls, els = clipped_drop_offs(upright(29.0))
-    rimless_ls, rimless_els = drop_offs(offset_um=None), drop_offs(offset_um=29.0)
+    rimless_ls, rimless_els = model_drop_offs(offset_um=None), model_drop_offs(offset_um=29.0)
     assert 0.94 < ls.drop_10db_um / rimless_ls.drop_10db_um < 0.96
     assert els.drop_10db_um / rimless_els.drop_10db_um == pytest.approx(1, abs=0.002)
 

@@ -7,10 +7,10 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.model.axial_response import (
     LINE_MODELS,
     LineModel,
-    axial_response,
-    drop_offs,
     gaussian_over_slit,
     line_response,
+    model_drop_offs,
+    model_response,
     signal_kept,
 )
 
@@ -20,7 +20,7 @@ LINE = LINE_MODELS["a"]
 @pytest.mark.parametrize("spread", [0.2, 0.3])
 def test_gaussian_line_through_a_thin_slit_drops_where_algebra_says(spread: float) -> None:
     line = LineModel(core_um=5.0, halo_share=0.0, halo_um=30.0, spread=spread, gap_um=0.0)
-    drops = drop_offs(offset_um=None, slit_um=0.0, line=line)
+    drops = model_drop_offs(offset_um=None, slit_um=0.0, line=line)
     assert drops == pytest.approx((np.sqrt(3) * 5 / spread, np.sqrt(99) * 5 / spread), rel=1e-9)
 
 
@@ -31,23 +31,23 @@ def test_light_is_only_moved_so_its_sum_over_offsets_does_not_change_with_depth(
 
 
 def test_far_field_falls_as_first_and_third_power() -> None:
-    far = axial_response(np.array([1e4, 1e5]), offset_um=29.0)
+    far = model_response(np.array([1e4, 1e5]), offset_um=29.0)
     slope = np.diff([np.log10(far.ls), np.log10(far.els)])[:, 0]
     assert slope == pytest.approx([-1, -3], abs=0.01)
 
 
 def test_no_offset_leaves_nothing_and_an_endless_one_leaves_all() -> None:
     depth_um = np.arange(0.0, 500, 10)
-    assert (axial_response(depth_um, offset_um=0.0).els == 0).all()
-    endless = axial_response(depth_um, offset_um=1e5)
+    assert (model_response(depth_um, offset_um=0.0).els == 0).all()
+    endless = model_response(depth_um, offset_um=1e5)
     assert np.array_equal(endless.els, endless.ls)
     with pytest.raises(InputError, match="offset is 0 um"):
-        drop_offs(offset_um=0.0)
+        model_drop_offs(offset_um=0.0)
 
 
 def test_sign_of_the_offset_does_not_matter_without_an_edge() -> None:
     depth_um = np.arange(0.0, 500, 10)
-    assert axial_response(depth_um, offset_um=-29.0).els == pytest.approx(axial_response(depth_um, offset_um=29.0).els)
+    assert model_response(depth_um, offset_um=-29.0).els == pytest.approx(model_response(depth_um, offset_um=29.0).els)
 
 
 def test_slit_mean_is_the_integral() -> None:
@@ -73,11 +73,11 @@ def test_a_narrow_slit_is_averaged_over_as_a_wide_one() -> None:
     ],
 )
 def test_drop_offs_of_the_paper(offset_um: float, drop_3db_um: float, drop_10db_um: float, tolerance: float) -> None:
-    assert drop_offs(offset_um=offset_um) == pytest.approx((drop_3db_um, drop_10db_um), rel=tolerance)
+    assert model_drop_offs(offset_um=offset_um) == pytest.approx((drop_3db_um, drop_10db_um), rel=tolerance)
 
 
 def test_slit_width_hardly_moves_els_and_signal_is_kept() -> None:
-    drops_10db_um = [drop_offs(offset_um=29, slit_um=slit).drop_10db_um for slit in (1.9, 2.9, 5.8)]
+    drops_10db_um = [model_drop_offs(offset_um=29, slit_um=slit).drop_10db_um for slit in (1.9, 2.9, 5.8)]
     assert drops_10db_um == pytest.approx([120] * 3, rel=0.05)
     kept = [signal_kept(offset_um=offset) for offset in (12, 20, 29, 40, 58, 77)]
     assert kept == pytest.approx([0.63, 0.78, 0.82, 0.86, 0.92, 0.967], abs=0.01)
@@ -91,7 +91,10 @@ def test_sharper_line_of_the_slit_panels() -> None:
     ls_3db = 0.065 * slits_um**2 + 0.084 * slits_um + 26
     els_10db = 0.034 * slits_um**2 + 2.6 * slits_um + 170
     model = [
-        (drop_offs(offset_um=None, slit_um=slit, line=sharp)[0], drop_offs(offset_um=77, slit_um=slit, line=sharp)[1])
+        (
+            model_drop_offs(offset_um=None, slit_um=slit, line=sharp)[0],
+            model_drop_offs(offset_um=77, slit_um=slit, line=sharp)[1],
+        )
         for slit in slits_um
     ]
     off = np.array(model) / np.stack([ls_3db, els_10db], 1) - 1

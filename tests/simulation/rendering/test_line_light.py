@@ -11,7 +11,7 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.disturbances import Disturbances
 from napari_elsplus.simulation.rendering.line_light import COMPUTED_FRAMES, MAX_JITTER_ROWS
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.rendering.scan import Scan
+from napari_elsplus.simulation.rendering.scan import LineScan
 from napari_elsplus.simulation.specimen.scenes import fibres, uniform
 
 
@@ -35,8 +35,8 @@ def test_a_frame_is_that_of_a_line_on_the_jittered_rows(jitter_rows: float, stan
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """An item for each time that the light of a view is computed."""
-    times, light = [], Scan.light
-    monkeypatch.setattr(Scan, "light", lambda *arguments: times.append(1) or light(*arguments))
+    times, light = [], LineScan.light
+    monkeypatch.setattr(LineScan, "light", lambda *arguments: times.append(1) or light(*arguments))
     return times
 
 

@@ -16,7 +16,7 @@ from napari_elsplus.cli import main
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import write_calibration
-from napari_elsplus.simulation.model.axial_response import LINE_MODELS, axial_response
+from napari_elsplus.simulation.model.axial_response import LINE_MODELS, model_response
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.workflows.recommendation.line_estimate import calibrated_line
@@ -68,7 +68,7 @@ def test_a_measured_plate_replaces_the_modelled_spread_and_gap() -> None:
     depths = np.arange(0, 250, 5.0)
     plate = {
         "depth_um": depths.tolist(),
-        "profiles": {"ls": axial_response(depths, offset_um=29.0, line=true).ls.tolist()},
+        "profiles": {"ls": model_response(depths, offset_um=29.0, line=true).ls.tolist()},
     }
     estimate = calibrated_line(calibrated("a"), plate)
     assert (estimate.line.spread, estimate.line.gap_um) == pytest.approx((0.3, 8.0), rel=0.1)
@@ -90,7 +90,7 @@ def test_the_recommended_setting_keeps_enough_and_suppresses_haze_best(few_draws
 
 def test_what_lies_beyond_the_measured_depths_and_compared_offsets_is_noted(few_draws: None) -> None:
     depths = np.arange(0, 150, 5.0)
-    profile = axial_response(depths, offset_um=29.0, line=LINE_MODELS["a"]).ls.tolist()
+    profile = model_response(depths, offset_um=29.0, line=LINE_MODELS["a"]).ls.tolist()
     plate = {"depth_um": depths.tolist(), "profiles": {"ls": profile}}
     assert recommend(calibrated("a"), 100.0, 0.8, plate).notes == ()
     (beyond,) = recommend(calibrated("a"), 400.0, 0.8, plate).notes

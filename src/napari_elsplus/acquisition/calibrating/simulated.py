@@ -11,7 +11,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.frame_source import Circle
+from napari_elsplus.hardware.virtual.scene_frames import Circle
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.io.calibrations import read_calibration, write_calibration
 from napari_elsplus.io.user_folders import cache_folder, software_fingerprint

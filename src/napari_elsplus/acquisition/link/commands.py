@@ -32,7 +32,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Turn(Enum):
+class Scheduling(Enum):
     """When a command is executed, if others run."""
 
     IMMEDIATE = "at once, past every lock"
@@ -49,7 +49,7 @@ class Command(Generic[P, R]):
     ----------
     run : callable
         Executed in the engine's process.
-    turn : Turn
+    scheduling : Scheduling
         When it is executed, if others run.
     needs_rig : bool
         Refused while no rig is open.
@@ -60,7 +60,7 @@ class Command(Generic[P, R]):
     """
 
     run: Callable[Concatenate[Session, P], R]
-    turn: Turn
+    scheduling: Scheduling
     needs_rig: bool
     while_recording: bool
     activates: bool
@@ -77,14 +77,14 @@ class Command(Generic[P, R]):
 class command:
     """Make a command of the function that executes it; parameters as of `Command`."""
 
-    turn: Turn = Turn.CONCURRENT
+    scheduling: Scheduling = Scheduling.CONCURRENT
     needs_rig: bool = True
     while_recording: bool = True
     activates: bool = False
 
     def __call__(self, run: Callable[Concatenate[Session, P], R]) -> Command[P, R]:
         """Return the command."""
-        return Command(run, self.turn, self.needs_rig, self.while_recording, self.activates)
+        return Command(run, self.scheduling, self.needs_rig, self.while_recording, self.activates)
 
 
 class Commands:
@@ -101,42 +101,42 @@ class Commands:
         """Open a rig by its name; one that is open is closed first."""
         session.open(rig)
 
-    @command(Turn.EXCLUSIVE, while_recording=False)
+    @command(Scheduling.EXCLUSIVE, while_recording=False)
     def configure(session: Session, settings: Settings) -> None:
         """Configure camera and timing."""
         session.engine.configure(settings)
 
-    @command(Turn.EXCLUSIVE, while_recording=False)
+    @command(Scheduling.EXCLUSIVE, while_recording=False)
     def use(session: Session, calibration: Calibration | None) -> None:
         """Activate a calibration."""
         session.engine.use(calibration)
 
-    @command(Turn.EXCLUSIVE)
+    @command(Scheduling.EXCLUSIVE)
     def start(session: Session) -> None:
         """Scan and stream."""
         session.engine.start()
 
-    @command(Turn.EXCLUSIVE)
+    @command(Scheduling.EXCLUSIVE)
     def stop(session: Session) -> None:
         """Park the galvo and end the stream."""
         session.engine.stop()
 
-    @command(Turn.EXCLUSIVE)
+    @command(Scheduling.EXCLUSIVE)
     def hold(session: Session, volts: float) -> None:
         """Hold the laser line still at a voltage."""
         session.engine.hold(volts)
 
-    @command(Turn.EXCLUSIVE)
+    @command(Scheduling.EXCLUSIVE)
     def scan(session: Session) -> None:
         """Scan by the active calibration."""
         session.engine.scan()
 
-    @command(Turn.IMMEDIATE, needs_rig=False)
+    @command(Scheduling.IMMEDIATE, needs_rig=False)
     def set_heartbeat_timeout(session: Session, timeout_s: float) -> None:
         """Park the galvo and end a recording after this time without a heartbeat of the client; see `Supervision`."""
         session.supervision.set_timeout(timeout_s)
 
-    @command(Turn.IMMEDIATE)
+    @command(Scheduling.IMMEDIATE)
     def park(session: Session) -> None:
         """Move the laser line off the bundle."""
         session.engine.park()
@@ -177,7 +177,7 @@ class Commands:
 
     # calibrating
 
-    @command(Turn.IMMEDIATE, needs_rig=False)
+    @command(Scheduling.IMMEDIATE, needs_rig=False)
     def cancel(session: Session) -> None:
         """Cancel the procedure that runs."""
         session.cancel()
@@ -189,7 +189,7 @@ class Commands:
 
         return engine_setup(session.engine)
 
-    @command(Turn.PROCEDURE, while_recording=False)
+    @command(Scheduling.PROCEDURE, while_recording=False)
     def measure_step(session: Session, step: CalibrationStep[Any], draft: Draft, voltages: int | None = None) -> Any:
         """Measure a calibration step with what a draft contains, a sweep with so many voltages (400 by default)."""
         from napari_elsplus.acquisition.calibrating.live import SWEEP_VOLTAGES, LiveMeasurement
@@ -198,7 +198,7 @@ class Commands:
         with target_placed(session.rig, step.target):
             return LiveMeasurement(session.engine, voltages or SWEEP_VOLTAGES, session.watch).measure(step, draft)
 
-    @command(Turn.PROCEDURE, while_recording=False)
+    @command(Scheduling.PROCEDURE, while_recording=False)
     def follow_offset(session: Session, draft: Draft) -> None:
         """Measure the slit offset in every frame, the line held where a draft places it, until `cancel`."""
         from napari_elsplus.acquisition.calibrating.live import follow_offset
@@ -215,14 +215,14 @@ class Commands:
         """Wait shortly for a result of `follow_offset` later than that number; return it with its number, or None."""
         return session.offsets.after(number)
 
-    @command(Turn.PROCEDURE, while_recording=False, activates=True)
+    @command(Scheduling.PROCEDURE, while_recording=False, activates=True)
     def calibrate_simulated(session: Session) -> Draft:
         """Calibrate the simulated rig unattended, and activate the calibration."""
         from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 
         return calibrate_simulated(session.rig, session.engine, progress=session.watch)
 
-    @command(Turn.PROCEDURE, while_recording=False, activates=True)
+    @command(Scheduling.PROCEDURE, while_recording=False, activates=True)
     def use_simulated_calibration(session: Session) -> None:
         """Activate the remembered calibration of the simulated rig; if there is none, calibrate it unattended."""
         from napari_elsplus.acquisition.calibrating.simulated import use_simulated_calibration
@@ -260,8 +260,8 @@ def execute(session: Session, request: Request, given_s: float) -> Any:
             engine = session.engine
             if not command.while_recording:
                 engine.refuse_while_recording()
-            if command.turn is Turn.EXCLUSIVE:
+            if command.scheduling is Scheduling.EXCLUSIVE:
                 held.enter_context(engine.operations.alone(title, given_s=given_s))
-            elif command.turn is Turn.PROCEDURE:
+            elif command.scheduling is Scheduling.PROCEDURE:
                 held.enter_context(session.procedure(title, given_s, activates=command.activates))
         return command.run(session, *request.arguments, **request.options)

@@ -20,7 +20,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live
-from napari_elsplus.acquisition.link.commands import COMMANDS, Turn, execute
+from napari_elsplus.acquisition.link.commands import COMMANDS, Scheduling, execute
 from napari_elsplus.acquisition.link.messages import QUIT, Activated, Heartbeat, Reply, Request
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
@@ -95,10 +95,12 @@ class Server:
                 self._session.supervision.beat()
             elif request.name == QUIT:
                 return
-            elif (turn := COMMANDS[request.name].turn) is Turn.IMMEDIATE:
+            elif (scheduling := COMMANDS[request.name].scheduling) is Scheduling.IMMEDIATE:
                 self._execute(request, time.perf_counter())
             else:
-                (exclusive if turn is Turn.EXCLUSIVE else others).submit(self._execute, request, time.perf_counter())
+                (exclusive if scheduling is Scheduling.EXCLUSIVE else others).submit(
+                    self._execute, request, time.perf_counter()
+                )
 
     def _execute(self, request: Request, given_s: float) -> None:
         try:

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     Play = Callable[[Stage, float], None]
 
-FAULTS: Final[dict[str, Fault]] = {}
+FAULTS: Final[dict[str, RehearsedFault]] = {}
 """Every fault by its name, in the order of the rehearsal."""
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class RehearsedFault:
     """A fault, and what the software promises of it.
 
     Parameters
@@ -51,7 +51,7 @@ class Fault:
                 stage.problems.append(f"{type(error).__name__}: {error}")
             parked_s = None if stage.parked_s is None else round(stage.parked_s, 3)
             cleared = "" if parked_s is None else f"clear of the bundle after {parked_s:.2f} s"
-            message = "; ".join([*stage.problems, *stage.heard]) or cleared
+            message = "; ".join([*stage.problems, *stage.messages]) or cleared
             lost = stage.lost, stage.lost_silently
             return Row(self.name, self.promise, not stage.problems, parked_s, self.limit_s, *lost, message)
 
@@ -66,7 +66,7 @@ def fault(name: str, promise: str, limit_s: float, *, posix: bool = False) -> Ca
     """
 
     def register(play: Play) -> Play:
-        FAULTS[name] = Fault(name, promise, limit_s, play, posix)
+        FAULTS[name] = RehearsedFault(name, promise, limit_s, play, posix)
         return play
 
     return register

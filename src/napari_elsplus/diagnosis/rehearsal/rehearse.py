@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from napari_elsplus.diagnosis.rehearsal.faults import camera_and_disk, card, commands, processes
-from napari_elsplus.diagnosis.rehearsal.registry import FAULTS, Fault
+from napari_elsplus.diagnosis.rehearsal.registry import FAULTS, RehearsedFault
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ REGISTERING = (card, camera_and_disk, processes, commands)
 """Modules whose functions register themselves when they are imported."""
 
 
-def faults(names: Sequence[str] = ()) -> list[Fault]:
+def faults(names: Sequence[str] = ()) -> list[RehearsedFault]:
     """Return the faults of some names, all that this system can play by default.
 
     Raises

@@ -62,7 +62,7 @@ class Stage:
     ----------
     problems : list of str
         What was expected and not observed.
-    heard : list of str
+    messages : list of str
         Messages of the software under test.
     fault_s : float
         Time of the fault, on the card's clock.
@@ -71,7 +71,7 @@ class Stage:
     def __init__(self) -> None:
         self.settings = Settings(PRESET)
         self.problems: list[str] = []
-        self.heard: list[str] = []
+        self.messages: list[str] = []
         self.fault_s = math.nan
         self.parked_s: float | None = None
         self.lost = self.lost_silently = 0
@@ -119,11 +119,11 @@ class Stage:
 
     def connect(self) -> None:
         """Start another engine from the same window, after :meth:`close`."""
-        self._ask("connect")
+        self._request("connect")
 
     def copy_images(self) -> None:
         """Let the window copy every image of the engine until it is closed."""
-        self.wait_for(lambda: self._ask("copy_images"), "image in the window")
+        self.wait_for(lambda: self._request("copy_images"), "image in the window")
 
     def kill_engine(self) -> None:
         """Kill the engine's process, if it is there."""
@@ -183,11 +183,11 @@ class Stage:
 
     def begin(self, name: str, *arguments: Any) -> int:
         """Send the command of that name from the window; return its number."""
-        return int(self._ask("call", name, *arguments))
+        return int(self._request("call", name, *arguments))
 
     def result(self, number: int, timeout_s: float = CALL_TIMEOUT_S) -> Any:
         """Return the result of the command of that number within `timeout_s`, or raise its error."""
-        return self._ask("wait", number, timeout_s, answer_s=timeout_s + CALL_TIMEOUT_S)
+        return self._request("wait", number, timeout_s, answer_s=timeout_s + CALL_TIMEOUT_S)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Send the command of that name from the window, and return its result or raise its error."""
@@ -195,12 +195,12 @@ class Stage:
 
     def close(self) -> None:
         """Close the engine, as the window does."""
-        self._ask("close")
+        self._request("close")
 
     def status(self) -> Status:
         """Return the newest status that the window has; what it reports is kept."""
-        status, died = self._ask("status")
-        self.hear(*(f"{fault.source}: {fault}" for fault in status.faults), *([str(died)] if died else []))
+        status, died = self._request("status")
+        self.keep_messages(*(f"{fault.source}: {fault}" for fault in status.faults), *([str(died)] if died else []))
         if status.acquired:
             self.reported = dict(status.dropped)
         return cast("Status", status)
@@ -230,9 +230,9 @@ class Stage:
 
     # what is expected
 
-    def hear(self, *messages: str) -> None:
+    def keep_messages(self, *messages: str) -> None:
         """Keep messages of the software under test, each once."""
-        self.heard += [message for message in messages if message and message not in self.heard]
+        self.messages += [message for message in messages if message and message not in self.messages]
 
     def expect(self, condition: object, problem: str) -> None:
         """Note a problem unless a condition holds."""
@@ -268,7 +268,7 @@ class Stage:
         try:
             self.result(number, timeout_s)
         except ElsPlusError as error:
-            self.hear(str(error))
+            self.keep_messages(str(error))
             self.expect(any(word in str(error) for word in words), f"refused for another reason: {error}")
         except Exception as error:  # noqa: BLE001 - whatever it is, it is not a refusal
             self.problems.append(f"{type(error).__name__} instead of a refusal: {error}")
@@ -326,9 +326,9 @@ class Stage:
     # inside
 
     def _reported(self, words: tuple[str, ...]) -> bool:
-        return any(word in message for message in self.heard for word in words)
+        return any(word in message for message in self.messages for word in words)
 
-    def _ask(self, name: str, *arguments: Any, answer_s: float = 2 * CALL_TIMEOUT_S) -> Any:
+    def _request(self, name: str, *arguments: Any, answer_s: float = 2 * CALL_TIMEOUT_S) -> Any:
         return request(self._window, "window", answer_s, name, *arguments).result
 
     def _accept(self) -> tuple[str, dict[str, Any], Channel]:

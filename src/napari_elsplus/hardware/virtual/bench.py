@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
-from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
 from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo
+from napari_elsplus.hardware.virtual.scene_frames import Circle, SceneFrames
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain
 from napari_elsplus.instrument.optics import PRESETS, Preset
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
@@ -111,7 +111,7 @@ class OpticalBench:
     def __init__(self, simulation: Simulation, card: Card, clock: BenchClock) -> None:
         self.simulation, self.card, self.clock = simulation, card, clock
         self._lock = threading.Lock()
-        self._frames: FrameSource | None = None
+        self._frames: SceneFrames | None = None
         self._steady: tuple[Program, Shot, NDArray[np.float64]] | None = None
         """Program and camera settings, and the line's rows of every frame once the galvo's motion is periodic."""
 
@@ -196,12 +196,12 @@ class OpticalBench:
     def _instrument_of(self, shot: Shot) -> Instrument:
         return self.instrument(preset_of(shot), shot.exposure_s / shot.line_period_s, shot.gain_db)
 
-    def _source(self, shot: Shot) -> FrameSource:
+    def _source(self, shot: Shot) -> SceneFrames:
         wanted, simulation = self._instrument_of(shot), self.simulation
         frames = self._frames
         if frames is None or not frames.shows(wanted, simulation.scene, simulation.trajectory):
             ahead = simulation.real_time
-            frames = FrameSource(wanted, simulation.scene, simulation.trajectory, simulation.seed, ahead=ahead)
+            frames = SceneFrames(wanted, simulation.scene, simulation.trajectory, simulation.seed, ahead=ahead)
             self._frames = frames
         return frames
 

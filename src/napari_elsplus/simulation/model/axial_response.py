@@ -133,7 +133,7 @@ def line_response(depth_um: ArrayLike, offset_um: ArrayLike, slit_um: ArrayLike,
     )
 
 
-class Response(NamedTuple):
+class ModelResponse(NamedTuple):
     """Signals of one plane, all on the scale on which the confocal signal in contact is 1."""
 
     ls: Curve
@@ -141,9 +141,9 @@ class Response(NamedTuple):
     els: Curve
 
 
-def axial_response(
+def model_response(
     depth_um: ArrayLike, *, offset_um: ArrayLike, slit_um: ArrayLike = 2.9, line: LineModel = LINE_MODELS["a"]
-) -> Response:
+) -> ModelResponse:
     """Return confocal, residual and ELS+ signal of a stained plate against its distance.
 
     Parameters
@@ -169,7 +169,7 @@ def axial_response(
 
     Examples
     --------
-    >>> response = axial_response([0.0, 119.9], offset_um=29.0)
+    >>> response = model_response([0.0, 119.9], offset_um=29.0)
     >>> (response.els / response.els[0]).round(2)
     array([1. , 0.1])
     """
@@ -178,17 +178,19 @@ def axial_response(
     ls = line_response(depth, 0.0, slit_um, line) / in_contact
     residual = line_response(depth, offset_um, slit_um, line) / in_contact
     ls, residual = np.broadcast_arrays(ls, residual)
-    return Response(ls, residual, ls - residual)
+    return ModelResponse(ls, residual, ls - residual)
 
 
-class DropOffs(NamedTuple):
+class ModelDropOffs(NamedTuple):
     """Distances at which a plate's signal has fallen to a half and to a tenth."""
 
     drop_3db_um: float
     drop_10db_um: float
 
 
-def drop_offs(*, offset_um: float | None, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> DropOffs:
+def model_drop_offs(
+    *, offset_um: float | None, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]
+) -> ModelDropOffs:
     """Solve the model for the 3 dB and 10 dB drop-off distances of ELS+, or of LS where no offset is given.
 
     The rim of the bundle is neglected, which reduces the LS 10 dB distance of a bundle of 620 um by 5 %.
@@ -209,21 +211,21 @@ def drop_offs(*, offset_um: float | None, slit_um: float = 2.9, line: LineModel 
 
     Examples
     --------
-    >>> [round(um, 1) for um in drop_offs(offset_um=None)]
+    >>> [round(um, 1) for um in model_drop_offs(offset_um=None)]
     [58.1, 579.8]
-    >>> [round(um, 1) for um in drop_offs(offset_um=29.0)]
+    >>> [round(um, 1) for um in model_drop_offs(offset_um=29.0)]
     [35.0, 119.9]
     """
     if offset_um == 0:
         raise InputError("the offset is 0 um, so ELS+ is zero everywhere", "offset the residual slit")
 
     def signal(depth_um: float) -> float:
-        response = axial_response(depth_um, offset_um=offset_um or 0.0, slit_um=slit_um, line=line)
+        response = model_response(depth_um, offset_um=offset_um or 0.0, slit_um=slit_um, line=line)
         return float(response.ls if offset_um is None else response.els)
 
     contact = signal(0.0)
     root = scipy.optimize.brentq
-    return DropOffs(*(float(root(lambda z, f=f: signal(z) / contact - f, 0.0, FAR_UM)) for f in (0.5, 0.1)))
+    return ModelDropOffs(*(float(root(lambda z, f=f: signal(z) / contact - f, 0.0, FAR_UM)) for f in (0.5, 0.1)))
 
 
 def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LINE_MODELS["a"]) -> float:
@@ -243,4 +245,4 @@ def signal_kept(*, offset_um: float, slit_um: float = 2.9, line: LineModel = LIN
     >>> round(signal_kept(offset_um=29.0), 2), round(signal_kept(offset_um=77.0), 3)
     (0.82, 0.967)
     """
-    return float(axial_response(0.0, offset_um=offset_um, slit_um=slit_um, line=line).els)
+    return float(model_response(0.0, offset_um=offset_um, slit_um=slit_um, line=line).els)

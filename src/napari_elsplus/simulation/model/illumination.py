@@ -62,12 +62,12 @@ class _Halo(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def edge(radius_um: float, line: LineModel, slit_um: float) -> Edge:
-    """Return the vignetting of a bundle, cached; parameters as of :class:`Edge`."""
-    return Edge(radius_um, line, slit_um)
+def vignetting(radius_um: float, line: LineModel, slit_um: float) -> Vignetting:
+    """Return the vignetting of a bundle, cached; parameters as of :class:`Vignetting`."""
+    return Vignetting(radius_um, line, slit_um)
 
 
-class Edge:
+class Vignetting:
     """Vignetting of a round bundle, on a coarse grid that covers it.
 
     Parameters

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.simulation.rendering.scan import CoreLight, Scan
+    from napari_elsplus.simulation.rendering.scan import CoreLight, LineScan
     from napari_elsplus.simulation.rendering.views import BundleView
 
     Rows = NDArray[np.float64]
@@ -59,7 +59,7 @@ class MixedLight(NamedTuple):
             yield min(one[0], other[0]), max(one[1], other[1])
 
 
-class LineLight:
+class LineIllumination:
     """Light on the cores of both views by the positions of the line.
 
     Parameters
@@ -74,7 +74,7 @@ class LineLight:
         Standard deviation of the line's jitter.
     """
 
-    def __init__(self, scan: Scan, views: list[BundleView], rows: int, jitter_rows: float) -> None:
+    def __init__(self, scan: LineScan, views: list[BundleView], rows: int, jitter_rows: float) -> None:
         self._scan, self._views = scan, views
         self._ideal = np.arange(rows, dtype=np.float64)
         self._interpolates = 0 < jitter_rows <= MAX_JITTER_ROWS

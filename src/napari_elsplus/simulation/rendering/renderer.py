@@ -15,9 +15,9 @@ import numpy as np
 from napari_elsplus.errors import InputError
 from napari_elsplus.simulation.model.imperfections import IDEAL
 from napari_elsplus.simulation.rendering.disturbances import UNDISTURBED, UNFADED, Disturbances
-from napari_elsplus.simulation.rendering.line_light import LineLight
+from napari_elsplus.simulation.rendering.line_light import LineIllumination
 from napari_elsplus.simulation.rendering.sampling import fade_cores, sample_cores
-from napari_elsplus.simulation.rendering.scan import Scan
+from napari_elsplus.simulation.rendering.scan import LineScan
 from napari_elsplus.simulation.rendering.sensor import expose
 from napari_elsplus.simulation.rendering.views import views
 from napari_elsplus.simulation.specimen.layers import Layer, join_windows
@@ -83,14 +83,14 @@ class Renderer:
         self._disturbances: Disturbances | None = None
         if instrument.imperfections != IDEAL:
             self._disturbances = Disturbances(instrument, seed, laser=not scene.transmission, of_camera=noise)
-        self._scan = Scan(instrument, scene, self._cores)
+        self._scan = LineScan(instrument, scene, self._cores)
         reach_um = instrument.bundle.radius_um + abs(instrument.offset_um) / 2
         self._layers = [Layer(term.plane.texture, term.blur, reach_um) for term in self._scan.terms]
         self._samples, self._first = join_windows(self._layers)
         self._sizes = np.array([layer.size for layer in self._layers], np.int64)
         self._per_um = np.array([1 / layer.step_um for layer in self._layers], np.float64)
         jitter_rows = instrument.imperfections.line_jitter_rows
-        self._light = LineLight(self._scan, self._views, self.frame_shape[0], jitter_rows)
+        self._light = LineIllumination(self._scan, self._views, self.frame_shape[0], jitter_rows)
         self._values = np.empty((2, len(self._cores.rows_um)), np.float32)
         self.light_shape = 2, 2, len(self._cores.rows_um)
         self._unfaded = np.empty(self.light_shape, np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 
 from napari_elsplus.simulation.model.axial_response import line_response
 from napari_elsplus.simulation.model.bells import BELL, ERF
-from napari_elsplus.simulation.model.illumination import edge
+from napari_elsplus.simulation.model.illumination import vignetting
 from napari_elsplus.simulation.model.instrument import REFERENCE_SLIT_ROWS
 from napari_elsplus.simulation.rendering.reception import place_line, receive, weigh
 from napari_elsplus.simulation.specimen.layers import Blur
@@ -110,7 +110,7 @@ class _Product(NamedTuple):
     sigma_um: float
 
 
-class Scan:
+class LineScan:
     """Computes the light on the cores from line positions.
 
     Parameters
@@ -125,7 +125,7 @@ class Scan:
 
     def __init__(self, instrument: Instrument, scene: Scene, cores: Cores) -> None:
         self._instrument, self._scene, self._cores = instrument, scene, cores
-        self._edge = edge(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
+        self._edge = vignetting(instrument.bundle.radius_um, instrument.line, instrument.slit_um)
         self._smear_um = instrument.slit_um / np.sqrt(12)
         self.channels = channels(instrument.line, instrument.imperfections.halo_in_collection_percent / 100)
         self._along_line = _power_along_line(instrument, cores)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB
-from napari_elsplus.simulation.model.axial_response import LineModel, axial_response
+from napari_elsplus.simulation.model.axial_response import LineModel, model_response
 from napari_elsplus.workflows.calibration_report.picture import Picture, Plot
 from napari_elsplus.workflows.pictures.curves import Band, Curve
 from napari_elsplus.workflows.recommendation.line_estimate import line_of_parts
@@ -101,7 +101,7 @@ def _sectioning_against_offset(found: SlitOffset, draft: Draft, setup: Setup, sc
     slit_rows = setup.acquired_with.slit_rows_or_default
     line, present_um = _line(found, draft, slit_rows, scale), abs(found.rows) * scale
     offsets = np.linspace(_OFFSETS_UM[0], max(_OFFSETS_UM[1], 1.2 * present_um), _COMPUTED)
-    els = axial_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
+    els = model_response(_DEPTHS_UM, offset_um=offsets[:, None], slit_um=slit_rows * scale, line=line).els
     levels = LEVEL_3DB, LEVEL_10DB
     distances = [[np.interp(-level, -curve / curve[0], _DEPTHS_UM) for curve in els] for level in levels]
     curves = [

@@ -13,7 +13,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.processing.images.sectioning import line_offset_px
-from napari_elsplus.simulation.model.axial_response import LineModel, axial_response, drop_offs, signal_kept
+from napari_elsplus.simulation.model.axial_response import LineModel, model_drop_offs, model_response, signal_kept
 from napari_elsplus.workflows.recommendation.line_estimate import MODEL_SIGMA, LineEstimate, calibrated_line
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def predict_line(line: LineModel, offset_um: float, slit_um: float, depth_um: fl
     depth_um : float
         Depth of the haze.
     """
-    drops = drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)
+    drops = model_drop_offs(offset_um=offset_um, slit_um=slit_um, line=line)
     return Prediction(
         signal_kept(offset_um=offset_um, slit_um=slit_um, line=line),
         drops.drop_3db_um,
@@ -258,5 +258,5 @@ def _best(
 
 
 def _haze(line: LineModel, offset_um: float, slit_um: float, depth_um: float) -> float:
-    els = axial_response([0.0, depth_um], offset_um=offset_um, slit_um=slit_um, line=line).els
+    els = model_response([0.0, depth_um], offset_um=offset_um, slit_um=slit_um, line=line).els
     return float(els[1] / els[0])

@@ -35,7 +35,7 @@ def _faulty_frames(stage: Stage, limit_s: float, kind: str) -> None:
     stage.expect_undisturbed()
     reported = sum(stage.reported.values())
     stage.expect(reported == stage.lost, f"{reported} frames were reported as lost, {stage.lost} are missing")
-    _hear_counts(stage)
+    _keep_counts(stage)
 
 
 fault("short-frames", "dropped and counted, the others recorded", 2.0)(partial(_faulty_frames, kind="short_frames"))
@@ -53,7 +53,7 @@ def _slow_disk(stage: Stage, limit_s: float) -> None:
     stage.expect_frames_go_on()
     stage.switch("quicken", "disk")
     stage.finish()
-    _hear_counts(stage)
+    _keep_counts(stage)
 
 
 @fault("full-disk", "whole frames kept and readable, reported, the stream goes on", 2.0, posix=True)
@@ -65,5 +65,5 @@ def _full_disk(stage: Stage, limit_s: float) -> None:
     stage.expect_undisturbed()
 
 
-def _hear_counts(stage: Stage) -> None:
-    stage.hear(", ".join(f"{count} {cause}" for cause, count in stage.reported.items()))
+def _keep_counts(stage: Stage) -> None:
+    stage.keep_messages(", ".join(f"{count} {cause}" for cause, count in stage.reported.items()))

@@ -34,7 +34,7 @@ def _configure_fails(stage: Stage, limit_s: float) -> None:
     try:
         stage.call("start")
     except ElsPlusError as refused:
-        stage.hear(str(refused))
+        stage.keep_messages(str(refused))
         time.sleep(0.2)
         stage.expect(not stage.scans(), "the galvo scans although the engine refuses to start")
         return
@@ -56,7 +56,7 @@ def _preset_without_calibration(stage: Stage, limit_s: float) -> None:
     try:
         stage.result(stage.begin("configure", other), limit_s)
     except ElsPlusError as refused:
-        stage.hear(str(refused))
+        stage.keep_messages(str(refused))
     else:
         stage.expect_refused(stage.begin("start"), "calibrat", timeout_s=limit_s)
     time.sleep(0.3)
@@ -75,7 +75,7 @@ def _gain_changed_while_recording(stage: Stage, limit_s: float) -> None:
     try:
         stage.result(stage.begin("configure", stage.later(gain_db=6.0)), limit_s)
     except ElsPlusError as refused:
-        stage.hear(str(refused))
+        stage.keep_messages(str(refused))
         stage.expect("record" in str(refused), f"refused for another reason: {refused}")
     before = stage.status().recorded
     stage.wait_for(lambda: stage.status().recorded > before + 40, "recorded frames after the change", 3.0)

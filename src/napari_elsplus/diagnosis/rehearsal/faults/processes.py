@@ -111,7 +111,7 @@ def _guardian_lost(stage: Stage, limit_s: float, by: signal.Signals) -> None:
     stage.fault_s = time.perf_counter()
     stage.expect_parked(0.5)
     stage.expect_recording(complete=False)
-    stage.hear(f"replaced; after {stage.fault_s - lost_s:.1f} s the engine was killed, and it parked")
+    stage.keep_messages(f"replaced; after {stage.fault_s - lost_s:.1f} s the engine was killed, and it parked")
 
 
 fault("guardian-killed", "replaced or parked within 1 s, reported", GUARDIAN_WITHIN_S)(partial(_guardian_lost, by=KILL))

@@ -60,7 +60,7 @@ class Circle:
         return replace(self, period_s=max(1, round(self.period_s * rate_hz)) / rate_hz)
 
 
-class FrameSource:
+class SceneFrames:
     """Frames of one scene, trajectory and camera setting.
 
     Parameters

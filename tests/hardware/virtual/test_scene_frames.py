@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from napari_elsplus.hardware.virtual.frame_source import Circle, FrameSource
 from napari_elsplus.hardware.virtual.remembered_frames import MAX_FILES
+from napari_elsplus.hardware.virtual.scene_frames import Circle, SceneFrames
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
@@ -16,7 +16,7 @@ from napari_elsplus.simulation.specimen.trajectories import Still
 
 def test_frames_come_again_from_memory_while_the_line_moves_alike_and_only_then() -> None:
     instrument = Instrument.of("240hz")
-    source = FrameSource(instrument, plate(0.0), Circle(period_s=4 / 240), seed=0, ahead=True)
+    source = SceneFrames(instrument, plate(0.0), Circle(period_s=4 / 240), seed=0, ahead=True)
     rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
     out = np.empty(instrument.frame_shape, np.uint8)
 
@@ -43,7 +43,7 @@ def test_a_second_start_recalls_the_frames_of_a_closed_path(tmp_path: Path, monk
 
     def started(seed: int = 0, late_rows: float = 0.4) -> tuple[int, np.ndarray]:
         """Number of frames rendered at a start, and a frame."""
-        source = FrameSource(instrument, plate(0.0), Circle(period_s=3 / 240), seed=seed, ahead=True)
+        source = SceneFrames(instrument, plate(0.0), Circle(period_s=3 / 240), seed=seed, ahead=True)
         rendered = []
         render = source._renderer.render
         source._renderer.render = lambda k, *a, **b: (rendered.append(k), render(k, *a, **b))[1]
@@ -69,7 +69,7 @@ def imperfect(text: str = "") -> Instrument:
 
 def test_frames_of_a_bleaching_specimen_are_those_rendered_one_by_one_in_the_first_round() -> None:
     instrument, path = imperfect(), Circle(period_s=6 / 240)
-    source = FrameSource(instrument, fibres(), path, seed=3, ahead=True)
+    source = SceneFrames(instrument, fibres(), path, seed=3, ahead=True)
     rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
     source.render_ahead(rows)
     alone = Renderer(instrument, fibres(), path, seed=3)
@@ -81,7 +81,7 @@ def test_frames_of_a_bleaching_specimen_are_those_rendered_one_by_one_in_the_fir
 
 
 def test_light_of_a_closed_path_is_computed_once_and_fades_under_noise_that_does_not_recur() -> None:
-    source = FrameSource(imperfect("bleaching=20"), fibres(), Circle(period_s=4 / 240), seed=3, ahead=True)
+    source = SceneFrames(imperfect("bleaching=20"), fibres(), Circle(period_s=4 / 240), seed=3, ahead=True)
     rows = np.arange(524.0)
     source.render_ahead(rows)
     computed: list[int] = []
@@ -100,7 +100,7 @@ def test_light_of_a_closed_path_is_computed_once_and_fades_under_noise_that_does
 def test_frames_of_a_circle_recur_at_every_rate() -> None:
     """Before: at 237 Hz, the rate advised for a slow galvo, each frame was rendered anew, at a third of the pace."""
     instrument = Instrument.of("240hz", rate_hz=237.0)
-    source = FrameSource(instrument, fibres(), Circle(period_s=0.0335), seed=3, ahead=True)
+    source = SceneFrames(instrument, fibres(), Circle(period_s=0.0335), seed=3, ahead=True)
     rows, (first, again, other) = np.arange(524.0), np.empty((3, 524, 1328), np.uint8)
     source.render_ahead(rows)
     for number, out in ((2, first), (10, again), (6, other)):
@@ -111,7 +111,7 @@ def test_frames_of_a_circle_recur_at_every_rate() -> None:
 
 def test_frames_that_a_late_simulation_skips_bleach_nothing() -> None:
     """Before: a calibration on a busy computer went on in the dark, the even target bleached by frames without end."""
-    source = FrameSource(imperfect("bleaching=20"), plate(0.0), Still(), seed=3, ahead=True)
+    source = SceneFrames(imperfect("bleaching=20"), plate(0.0), Still(), seed=3, ahead=True)
     rows, (first, later, skipped) = np.arange(524.0), np.empty((3, 524, 1328), np.uint8)
     source.fill(0, first, rows)
     source.fill(2000, later, rows)
@@ -125,7 +125,7 @@ def test_what_recurs_leaves_the_statistics_of_imperfect_frames_as_they_are() -> 
     """Noise in the dark and in the light, rows, hot pixels, power: of frames from memory, and rendered anew."""
     instrument, path, count = imperfect("row-noise=1,power-noise=3,prnu=1,hot-pixels=0.1,bleaching=1"), 2 / 240, 24
     rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
-    source = FrameSource(instrument, plate(0.0), Circle(period_s=path), seed=3, ahead=True)
+    source = SceneFrames(instrument, plate(0.0), Circle(period_s=path), seed=3, ahead=True)
     alone = Renderer(instrument, plate(0.0), Circle(period_s=path), seed=3)
     source.render_ahead(rows)
     kept, anew = np.empty((2, count, *instrument.frame_shape), np.uint8)
@@ -156,7 +156,7 @@ def test_a_second_start_recalls_the_light_of_a_closed_path(tmp_path: Path, monke
     frames, rows = np.empty((2, 524, 1328), np.uint8), np.arange(524.0)
     computed: list[int] = []
     for frame in frames:
-        source = FrameSource(imperfect("bleaching=5"), plate(0.0), Circle(period_s=3 / 240), seed=0, ahead=True)
+        source = SceneFrames(imperfect("bleaching=5"), plate(0.0), Circle(period_s=3 / 240), seed=0, ahead=True)
         light = source._renderer.core_light
         source._renderer.core_light = lambda *a, _light=light, **b: (computed.append(1), _light(*a, **b))[1]
         source.render_ahead(rows)
