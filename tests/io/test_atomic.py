@@ -7,7 +7,7 @@ import os
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import replacing, replacing_all
+from napari_elsplus.io import replacing
 from napari_elsplus.io.atomic import in_folder, real_path, remove_unfinished
 
 
@@ -86,17 +86,6 @@ def test_a_folder_that_is_no_zarr_is_not_replaced_whatever_its_name(tmp_path):
     assert names(folder) == ["notes.txt"]
 
 
-def test_several_files_of_one_result_are_refused_together(tmp_path):
-    (tmp_path / "b").write_text("mine")
-    with pytest.raises(InputError, match="b exists"), replacing_all(tmp_path / "a", tmp_path / "b"):
-        raise AssertionError("work was done")
-    with replacing_all(tmp_path / "a", tmp_path / "b", force=True) as (first, second):
-        first.write_text("1")
-        second.write_text("2")
-    assert (tmp_path / "a").read_text() + (tmp_path / "b").read_text() == "12"
-    assert names(tmp_path) == ["a", "b"]
-
-
 def test_a_folder_replaces_a_file_or_a_folder(tmp_path):
     (tmp_path / "image.zarr").write_text("no folder")
     for text in ("old", "new"):
@@ -139,15 +128,10 @@ def test_a_link_is_replaced_and_what_it_names_stays(tmp_path, name, existing):
 def test_an_error_of_the_disk_names_the_file_that_was_to_be_written(tmp_path, error):
     """Before: it named none, or one that was nobody's."""
 
-    def written_to(*names):
-        with replacing_all(*(tmp_path / name for name in names)):
-            raise error
-
-    for named in (("a.txt",), ("a.txt", "b.txt")):
-        with pytest.raises(OSError, match=r"not all of it|No space") as raised:
-            written_to(*named)
-        assert raised.value.filename == str(tmp_path / "a.txt")
-        assert raised.value.errno == error.errno
+    with pytest.raises(OSError, match=r"not all of it|No space") as raised, replacing(tmp_path / "a.txt"):
+        raise error
+    assert raised.value.filename == str(tmp_path / "a.txt")
+    assert raised.value.errno == error.errno
 
 
 def test_the_file_beside_is_not_named_but_others_are(tmp_path):

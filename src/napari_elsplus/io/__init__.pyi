@@ -2,7 +2,6 @@ from .atomic import put_in_place as put_in_place
 from .atomic import refuse_existing as refuse_existing
 from .atomic import refuse_suffix as refuse_suffix
 from .atomic import replacing as replacing
-from .atomic import replacing_all as replacing_all
 from .calibration_lookup import beside as beside
 from .calibration_lookup import calibration_beside as calibration_beside
 from .calibration_lookup import existing_beside as existing_beside

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from secrets import token_hex
@@ -109,6 +109,8 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     ------
     InputError
         At once, if the target exists and `force` is not given, or its folder does not exist.
+    OSError
+        Of the disk; one that names no file, or the one beside the target, names the target.
 
     Examples
     --------
@@ -123,24 +125,16 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     refuse_existing(target, force=force)
     beside = target.with_name(f".{token_hex(4)}.{target.name}")
     try:
-        with _errors_of(target, beside):
-            yield beside
-            put_in_place(beside, target)
-    finally:
-        _remove(beside)
-
-
-@contextmanager
-def _errors_of(target: Path, beside: Path | None = None) -> Iterator[None]:
-    """Let errors of the disk that name no file, or the one beside the target, name the target."""
-    try:
-        yield
+        yield beside
+        put_in_place(beside, target)
     except OSError as error:
         named = error.filename
-        if named is not None and (beside is None or beside not in (Path(str(named)), *Path(str(named)).parents)):
+        if named is not None and beside not in (Path(str(named)), *Path(str(named)).parents):
             raise
         problem = error.strerror or "not all of it could be written"
         raise OSError(error.errno, problem, str(target)) from error
+    finally:
+        _remove(beside)
 
 
 @contextmanager
@@ -184,35 +178,6 @@ def remove_unfinished(*targets: Path) -> None:
     for target in targets:
         for unfinished in target.parent.glob(f".????????.{escape(target.name)}"):
             _remove(unfinished)
-
-
-@contextmanager
-def replacing_all(*paths: str | os.PathLike[str], force: bool = False) -> Iterator[list[Path]]:
-    """Write the several files of one result: all targets are checked first, and renamed last to first at the end.
-
-    Parameters
-    ----------
-    *paths : path-like
-        The targets; the one that readers look for comes first, so that it appears when the others are in place.
-    force : bool
-        Replace existing targets instead of refusing them.
-
-    Yields
-    ------
-    list of pathlib.Path
-        Where to write each; a file that is not written is left out.
-
-    Raises
-    ------
-    InputError
-        As :func:`replacing`, for any of the targets.
-    """
-    for path in paths:
-        refuse_existing(path, force=force)
-    with ExitStack() as stack:
-        besides = [stack.enter_context(replacing(path, force=force)) for path in paths]
-        with _errors_of(Path(paths[0])):
-            yield besides
 
 
 def flush(path: Path) -> None:
