@@ -62,7 +62,7 @@ def fault(name: str, promise: str, limit_s: float, *, posix: bool = False) -> Ca
     Parameters
     ----------
     name, promise, limit_s, posix
-        As of `Fault`.
+        As of `RehearsedFault`.
     """
 
     def register(play: Play) -> Play:
