@@ -113,7 +113,7 @@ class Tracker:
         self._turning = Turning(turn_rate or 0.0)
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
-        self._usual = [nan, nan]
+        self._usual = nan
         self._variance, self._fell = 0.0, False
         self._start: _Start | None = None
         self._segment = 0
@@ -180,7 +180,7 @@ class Tracker:
         """Register a frame to the key frame of the segment, or to the last frame that was."""
         key, last = self._key, self._last
         ahead = self._expected(key, here.period)
-        rigid = not self._usual[False] < self.registrar.rigid_correlation
+        rigid = not self._usual < self.registrar.rigid_correlation
         renew = hypot(*ahead) > (KEY_FRAME_REACH * self.grid.diameter if rigid else 0.0)
         if self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             self._test_rotation(renew=renew)
@@ -233,9 +233,7 @@ class Tracker:
         self._motion, self._key, self._last = start.motion, start.later, start.later
         motion = self._prior(start.later, here, self._expected(start.later, here.period))
         link, waited = self._link(start.later, here, motion), start.found.registration
-        if link is None or link.high_passed is not waited.high_passed:
-            return None
-        if abs(link.correlation - waited.correlation) > self.registrar.fall_of_correlation:
+        if link is None or abs(link.at_half - waited.at_half) > self.registrar.fall_of_correlation:
             return None
         _, b, _, d = link.warp
         rise = motion.log_density(b, d) - self._widest(here.period - start.later.period).log_density(b, d)
@@ -316,12 +314,12 @@ class Tracker:
         turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
         first = turn is None and not self._motion.known and self.registrar.registers_warps
         for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
-            least = 0.0 if first else self._min_correlation(True)
+            least = 0.0 if first else self._min_correlation
             link = self.registrar.register(earlier.view, here.view, motion, least, anywhere=anywhere, turn=turn)
             if link is None or link.odds < min_odds_nats:
                 continue
             link = (self._turned_much(earlier, here, link, motion) if first else None) or link
-            if link.correlation >= self._min_correlation(link.high_passed):
+            if not link.at_half < self._min_correlation:
                 return link
         return None
 
@@ -349,10 +347,10 @@ class Tracker:
         gap, apart = here.period - last.period, here.period - earlier.period
         return Turn(last.angle - earlier.angle + rate * gap, self._turning.spread(gap), apart)
 
-    def _min_correlation(self, high_passed: bool) -> float:
-        """Correlation that registrations need: somewhat less than the usual one; 0 before any was accepted."""
-        usual = self._usual[high_passed]
-        return 0.0 if isnan(usual) else usual - self.registrar.fall_of_correlation
+    @property
+    def _min_correlation(self) -> float:
+        """Correlation at half resolution that is needed: somewhat less than the usual one; 0 before the first."""
+        return 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
 
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose, follow its motion; return False if the probe moved too unevenly within the frames."""
@@ -391,10 +389,9 @@ class Tracker:
 
     def _track(self, here: _Placed, link: PairRegistration) -> Pose:
         self._last, self._newest = here, link
-        usual = self._usual[link.high_passed]
-        fall = 0.0 if isnan(usual) else usual - link.correlation
+        fall = 0.0 if isnan(self._usual) else self._usual - link.at_half
         self._fell = fall > sqrt(self._variance)
-        self._usual[link.high_passed] = link.correlation + (1 - _MEMORY) * fall
+        self._usual = link.at_half + (1 - _MEMORY) * fall
         self._variance += _MEMORY * (fall * fall - self._variance)
         row, col, tracked = here.at.real, here.at.imag, TrackingState.TRACKED
         return Pose(self._segment, row, col, here.velocity, link.correlation, here.sigma, tracked, here.angle)

@@ -122,7 +122,7 @@ class FinishedRegistrar(Registrar):
         fine = self._refined(earlier, later, motion)  # where tissue deforms it may end elsewhere
         near = hypot(fine.warp.b - shift.b, fine.warp.d - shift.d) <= _REFINED_CELLS * cell_px
         link = fine if near and fine.correlation > 0 and np.isfinite(fine.covariance).all() else searched
-        link = link._replace(correlation=found.correlation, high_passed=False, odds=found.odds)
+        link = link._replace(correlation=found.correlation, at_half=found.correlation, odds=found.odds)
         return link._replace(velocity=AT_REST, velocity_variance=0.0)
 
 

@@ -106,7 +106,7 @@ def register(
     """Register two frames: descend the pyramid, compare with competing shifts, and derive the velocity.
 
     Returns a, b, s, d of the warp; the correlation; the part of the disc that both frames show; log odds, nats; what
-    :func:`later_velocity` returns; and 1 if the correlation is that of high-passed frames, 0 of frames as they are.
+    :func:`later_velocity` returns; and the correlation at half resolution.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def register(
     as_expected : bool
         Start from the expected warp instead.
     min_correlation : float
-        Correlation that high-passed frames need: without it the odds are not computed, and minus infinity.
+        Correlation at half resolution that is needed: without it registration ends there, its odds minus infinity.
     tools : Tools
         For frames on this grid.
     information : numpy.ndarray
@@ -133,18 +133,17 @@ def register(
     first, end = _TO_HALF
     stages = first + 1 if begins_at_half else first, end
     correlation, count, warp = descend(earlier, later, stages, True, expected, terms, warp, information, tools)
-    nats, high_passed = -np.inf, 0.0
-    if correlation > 0 and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
+    nats, at_half = -np.inf, correlation
+    if at_half > max(min_correlation, 0.0) and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
         correlation, count, warp = descend(earlier, later, _SHARP, True, expected, terms, warp, information, tools)
         nats = _odds_against_unrelated(correlation, count)
-    elif correlation > 0:
+    elif at_half > max(min_correlation, 0.0):
         # noise is more than that: all that is lit, without what is smooth
-        high_passed = 1.0
         pyramid.high_pass(earlier, tools.pyramid)
         pyramid.high_pass(later, tools.pyramid)
         correlation, count, warp = descend(earlier, later, _UNSHARP, False, expected, terms, warp, information, tools)
-        if correlation > min_correlation:
+        if correlation > 0:
             # smooth tissue loses by that most of its texture: what the frames tell as they are counts where it is more
             whole, less = tools.work.schur, odds.weakest_direction(information)[0]
             alike, _, other = descend(earlier, later, _SHARP, True, expected, terms, warp, whole, tools)
@@ -158,7 +157,7 @@ def register(
             nats = min(nats, _odds_against_unrelated(correlation, count))
     overlap = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
     row, col, variance = later_velocity(prior, warp, information, tools.work)
-    return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance, high_passed
+    return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance, at_half
 
 
 @lean_kernel
