@@ -96,6 +96,7 @@ ORDER = (
     "_sample_data",
     "_window",
     "cli",
+    "__main__",
 )
 """From the lowest to the highest: a module imports only from its own room and from rooms before it."""
 

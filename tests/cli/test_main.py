@@ -25,6 +25,12 @@ def leaves(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[in
     return int(left.value.code or 0), capsys.readouterr().err
 
 
+def test_the_command_is_a_module_as_well() -> None:
+    run = subprocess.run([sys.executable, "-m", "napari_elsplus", "--help"], capture_output=True, text=True)
+    assert run.returncode == 0
+    assert run.stdout.startswith("Usage: napari-elsplus")
+
+
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [
