@@ -11,6 +11,7 @@ import tifffile
 from napari.utils.notifications import notification_manager
 
 from napari_elsplus._reader import get_reader
+from napari_elsplus._view import FILLED, SETTLED_MS
 from napari_elsplus.io import settings, write_calibration
 from napari_elsplus.workflows.sectioning import section
 from pairs import calibration, frames, write_pair
@@ -37,6 +38,33 @@ def test_a_recording_is_shown_and_scrolled(make_napari_viewer_proxy, tmp_path):
         side = els.shape[1]
         assert shown == els[step, side // 2, side // 2] or shown == els[step, (side - 1) // 2, (side - 1) // 2]
     assert [str(unit) for unit in layer.units] == ["second", "micrometer", "micrometer"]
+
+
+def test_what_is_opened_first_fills_the_canvas_above_a_scale_bar_and_what_follows_leaves_the_view(
+    make_napari_viewer_proxy, tmp_path, qtbot
+):
+    """Before: the only visible image lay at the edge, cut, since hidden raw frames beside it were fitted, too."""
+    viewer = make_napari_viewer_proxy()
+    camera, bar = viewer.scene.camera, viewer.canvas.overlays.scale_bar
+    path = str(write_pair(tmp_path))
+    viewer.open(path, plugin=PLUGIN)
+    corners = viewer.layers["scan ELS+"].extent.world[:, -2:]
+    qtbot.waitUntil(lambda: bar.visible)
+    assert camera.center[-2:] == pytest.approx(corners.mean(axis=0))
+    assert camera.zoom == pytest.approx(FILLED * (viewer.canvas.size / np.diff(corners, axis=0)[0]).min())
+    camera.zoom, bar.visible = 2 * camera.zoom, False
+    view = camera.center, camera.zoom
+    viewer.open(path, plugin=PLUGIN)
+    qtbot.wait(3 * SETTLED_MS)
+    assert (camera.center, camera.zoom, bar.visible) == (*view, False)
+
+
+def test_raw_frames_of_unknown_scale_have_no_scale_bar(make_napari_viewer_proxy, tmp_path, qtbot):
+    viewer = make_napari_viewer_proxy()
+    tifffile.imwrite(tmp_path / "bare.tif", frames())
+    viewer.open(str(tmp_path / "bare.tif"), plugin=PLUGIN)
+    qtbot.wait(3 * SETTLED_MS)
+    assert not viewer.canvas.overlays.scale_bar.visible
 
 
 def test_a_calibration_is_shown_and_becomes_the_active_one(make_napari_viewer_proxy, tmp_path, said):

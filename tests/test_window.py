@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from npe2 import PluginManifest
 from qtpy.QtCore import QSize, QTimer
@@ -28,7 +29,7 @@ def manifest() -> PluginManifest:
 
 
 def test_the_window_shows_what_the_manifest_offers(
-    make_napari_viewer: Any, monkeypatch: pytest.MonkeyPatch, npe2pm: Any, manifest: PluginManifest
+    make_napari_viewer: Any, monkeypatch: pytest.MonkeyPatch, npe2pm: Any, manifest: PluginManifest, qtbot: Any
 ) -> None:
     monkeypatch.setattr(_sample_data, "FRAMES", 2)
     npe2pm.register(manifest)
@@ -43,7 +44,9 @@ def test_the_window_shows_what_the_manifest_offers(
     assert [layer.name for layer in shown] == ["fibres LS", "fibres residual", "fibres ELS+"]
     assert list(titles.text.values) == ["LS", "residual", "ELS+"]
     assert viewer.layers.selection.active is shown[-1]
-    assert viewer.canvas.overlays.scale_bar.visible
+    qtbot.waitUntil(lambda: viewer.canvas.overlays.scale_bar.visible)
+    visible = np.array([layer.extent.world[:, -2:] for layer in viewer.layers if layer.visible])
+    assert viewer.scene.camera.center[-2:] == pytest.approx((visible.min((0, 1)) + visible.max((0, 1))) / 2)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,10 @@ from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
+import napari
 import numpy as np
 
+from napari_elsplus._view import fit_first_layers
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.axial import simulated_scan
@@ -33,6 +35,7 @@ SEED: Final = 1
 
 def recording() -> list[tuple[Any, ...]]:
     """Return layers of a probe moved by hand over fibres for two seconds: titles, raw, ELSA, LS, residual, ELS+."""
+    fit_first_layers(napari.current_viewer())
     frames = simulate_recording(frames=FRAMES, seed=SEED)
     stack = Stack("fibres", _planes(frames), _metadata())
     raw = raw_layer(stack, frames.calibration)
@@ -44,6 +47,7 @@ def recording() -> list[tuple[Any, ...]]:
 
 def calibration_set() -> list[tuple[Any, ...]]:
     """Return layers of calibration recordings: standing line, sweep with its voltages, transmission, background."""
+    fit_first_layers(napari.current_viewer())
     taken = simulate_calibration(seed=SEED)
     parts = {"dark tube": taken.background, "distal light": taken.bundle, "sweep": taken.sweep, "line": taken.line}
     layers = []
@@ -59,6 +63,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
 
 def axial_scan() -> list[tuple[Any, ...]]:
     """Return layers of an axial scan of a stained plate: raw, LS, residual, ELS+."""
+    fit_first_layers(napari.current_viewer())
     stack, calibration = simulated_scan(seed=SEED)
     stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)

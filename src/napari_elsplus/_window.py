@@ -30,8 +30,6 @@ def fill(viewer: napari.Viewer) -> None:
     dock, _ = viewer.window.add_plugin_dock_widget(PLUGIN, DOCK)
     dock.setWindowTitle(DOCK)
     viewer.open_sample(PLUGIN, SAMPLE)
-    viewer.canvas.overlays.scale_bar.visible = True
-    QTimer.singleShot(0, lambda: QTimer.singleShot(0, viewer.reset_view))  # after the layout has resized the canvas
 
 
 def first_size(screen: QSize) -> QSize:

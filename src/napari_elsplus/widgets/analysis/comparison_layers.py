@@ -9,9 +9,9 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
+from napari_elsplus._view import fit_visible_layers
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes
-from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from napari.layers import Image, Layer, Points
 
+from napari_elsplus._view import fit_visible_layers
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
@@ -20,7 +21,6 @@ from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 from napari_elsplus.widgets.shared.choosing import LIVE
-from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

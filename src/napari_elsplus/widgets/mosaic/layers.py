@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from napari.layers import Image, Points
 
+from napari_elsplus._view import fit_visible_layers
 from napari_elsplus.processing.mosaicing.coverage import Coverage
 from napari_elsplus.viewing.layers import TITLE_RISE, titles_layer
 from napari_elsplus.viewing.mosaic.growing import GrowingImage
@@ -17,7 +18,6 @@ from napari_elsplus.viewing.mosaic.track import TrackDrawing
 from napari_elsplus.widgets.mosaic.map_layers import draw_maps, maps_visible
 from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, MARKS, NAMES, QUALITY, TRACK, OwnLayers
 from napari_elsplus.widgets.mosaic.track_layers import draw_track
-from napari_elsplus.widgets.shared.window.camera import fit_visible_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_elsplus.widgets.shared.window.camera import FILLED, fit_visible_layers
+from napari_elsplus._view import FILLED, fit_visible_layers
 
 
 def test_visible_layers_fill_the_canvas_and_hidden_or_empty_ones_do_not_count():

@@ -1,0 +1,71 @@
+"""The view of a viewer, fitted to what is visible; that of what is opened first, with a scale bar."""
+
+from __future__ import annotations
+
+import weakref
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from qtpy.QtCore import QTimer
+
+from napari_elsplus.viewing.common_axes import PIXEL
+
+if TYPE_CHECKING:
+    import napari.viewer
+
+FILLED: Final = 0.95
+"""Share of the canvas that the layers fill, as with napari's own reset of the view."""
+SETTLED_MS: Final = 50
+"""Time without another layer after which all are open and laid out, milliseconds; chosen, some turns of the loop."""
+
+
+def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
+    """Fit the visible layers into the canvas.
+
+    napari's reset of the view fits the hidden ones, too, among them raw frames that are wider than their images.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        Displays two dimensions.
+    """
+    extents = [layer.extent.world[:, -2:] for layer in viewer.layers if layer.visible]
+    extents = [one for one in extents if np.isfinite(one).all()]  # layers without points have none
+    if not extents:
+        return
+    low, high = np.min(extents, axis=(0, 1)), np.max(extents, axis=(0, 1))
+    viewer.scene.camera.center = tuple((low + high) / 2)
+    viewer.scene.camera.zoom = FILLED * float((viewer.canvas.size / np.maximum(high - low, 1e-9)).min())
+
+
+def fit_first_layers(viewer: napari.viewer.Viewer | None) -> None:
+    """Fit the layers that are being opened into the canvas if there are none before, and show the scale bar.
+
+    napari fits the first layer before the controls beside it have narrowed the canvas, and fits hidden raw frames, too.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or None
+        Displays two dimensions, else its view is left as it is. The scale bar is shown where the scale is known.
+    """
+    if viewer is None or len(viewer.layers):
+        return
+    settled = QTimer()
+    settled.setSingleShot(True)
+    settled.setInterval(SETTLED_MS)
+    seen, inserted = weakref.ref(viewer), viewer.layers.events.inserted
+
+    def restart(_: Any) -> None:
+        settled.start()
+
+    def fit() -> None:
+        inserted.disconnect(restart)
+        opened = seen()
+        if opened is None or not len(opened.layers) or opened.dims.ndisplay != 2:
+            return
+        fit_visible_layers(opened)
+        if all(PIXEL not in map(str, layer.units[-2:]) for layer in opened.layers):
+            opened.canvas.overlays.scale_bar.visible = True
+
+    settled.timeout.connect(fit)
+    inserted.connect(restart)
