@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from napari.settings import get_settings
+from qtpy.QtCore import QPoint
 from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from benchmarks.screens.__main__ import SIZES, THEMES
@@ -69,6 +71,20 @@ def test_no_text_of_any_panel_is_clipped(dock, qtbot, size, theme):
                 places.add(tuple((button.x(), button.y()) for button in buttons))
     assert clipped == []
     assert len(places) == 1, "buttons keep their places from step to step"
+
+
+@pytest.mark.parametrize("font_pt", [9, 14])
+def test_the_tabs_begin_below_the_title_of_the_dock(dock, qtbot, font_pt):
+    """Before: with napari's font of 14 points the title covered a third of them."""
+    get_settings().appearance.font_size = font_pt
+    title = dock.parentWidget().titleBarWidget()
+    bar = dock.tabs.tabBar()
+
+    def beside() -> bool:
+        title_end = title.mapToGlobal(title.rect().bottomLeft()).y() + 1
+        return title.height() > font_pt and bar.mapToGlobal(QPoint(0, 0)).y() == title_end
+
+    qtbot.waitUntil(beside, timeout=10_000)
 
 
 SCANS = (MANUAL, SIMULATED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QSizePolicy, QTabWidget, QVBoxLayout
+from qtpy.QtWidgets import QDockWidget, QSizePolicy, QTabWidget, QVBoxLayout
 
 from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.dock.tab import PanelKind, Tab
@@ -29,8 +29,6 @@ FIRST: Final = "Compare"
 """The tab in front at first: it needs no instrument."""
 TAB_STYLE: Final = "QTabBar {background: none; border: none; padding: 0px} QTabBar::tab {padding: 4px 6px}"
 """Of the tabs; napari's draws its own frame around the bar, which cuts their tops."""
-TOP_PX: Final = 4
-"""Space above the tabs, pixels; chosen: the dock's title bar overlaps as much."""
 STATUS_MS: Final = 200
 """Interval of the status line, milliseconds; chosen, faster than it can be read."""
 
@@ -64,7 +62,7 @@ class ElsPlusDock(EnginePanel):
             self.tabs.addTab(tab, title)
         self.status_line = StatusLine()
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, TOP_PX, 0, 0)
+        layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(0)
         layout.addWidget(self.tabs, 1)
         layout.addWidget(self.status_line)
@@ -83,8 +81,9 @@ class ElsPlusDock(EnginePanel):
         self.tabs.setCurrentWidget(self.by_title[title])
 
     def refresh(self) -> None:
-        """Update the status line."""
+        """Update the status line, and keep the tabs below the dock's title."""
         self.status_line.update_from(self.connection)
+        self._leave_room_for_title()
 
     def cleanup(self) -> None:
         """Release what the panels in the tabs use, then the engine and the viewer."""
@@ -94,6 +93,14 @@ class ElsPlusDock(EnginePanel):
             for tab in self.by_title.values():
                 tab.cleanup()
         super().cleanup()
+
+    def _leave_room_for_title(self) -> None:
+        """Begin below the dock's title bar, which napari gives less height than its text needs, by the font."""
+        dock, layout = self.parentWidget(), self.layout()
+        title = dock.titleBarWidget() if isinstance(dock, QDockWidget) else None
+        covered_px = 0 if title is None else max(0, title.geometry().bottom() + 1 - self.y())
+        if layout is not None and layout.contentsMargins().top() != covered_px:
+            layout.setContentsMargins(0, covered_px, 0, 0)
 
     def _build_current(self) -> None:
         tab = self.tabs.currentWidget()
