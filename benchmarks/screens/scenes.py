@@ -94,7 +94,7 @@ class Scene:
         mosaic = panel["Mosaic"]
         for box in mosaic.form.modes.values():
             box.value = True
-        yield from self._front("Mosaic", mosaic.begin, lambda: not mosaic.work.busy)
+        yield from self._front("Mosaic", mosaic.begin, lambda: not mosaic.work.busy and not mosaic.layers.behind)
         mosaic.clear()
         connection = self.dock.connection
         panel["Rig"].rate_hz.value = PRESET.frame_rate_hz

@@ -48,11 +48,30 @@ def panel(viewer, scan):
 def make(panel, qtbot):
     panel.form.start.native.click()
     assert panel.work.busy
-    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    qtbot.waitUntil(lambda: not panel.work.busy and not panel.layers.behind, timeout=60_000)
 
 
 def mosaics(viewer):
     return {layer.name for layer in viewer.layers if layer.name.startswith("mosaic")}
+
+
+def test_layers_are_created_one_in_each_update_so_that_the_window_answers_between_them(
+    viewer, panel, qtbot, monkeypatch
+):
+    """Before: all at once took five seconds on a slow computer, after which the engine parks the galvo."""
+    created, update = [], panel.layers.update
+
+    def counted(*, whole):
+        before = len(viewer.layers)
+        new = update(whole=whole)
+        created.append(len(viewer.layers) - before)
+        return new
+
+    monkeypatch.setattr(panel.layers, "update", counted)
+    make(panel, qtbot)
+    wanted = {f"mosaic {what}" for what in ("ELS+", "track", "track marks", "coverage", "quality")}
+    qtbot.waitUntil(lambda: mosaics(viewer) == wanted)
+    assert max(created) == 1
 
 
 def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, monkeypatch):

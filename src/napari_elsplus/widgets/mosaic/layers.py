@@ -93,12 +93,12 @@ class MosaicLayers:
 
     @property
     def behind(self) -> bool:
-        """True while rows of the track or the maps are still to be drawn; each update draws a limited number."""
+        """True while layers are to be created, or rows of the track or the maps drawn: each update does some."""
         if self._mosaics is None or self.drawing is None:
             return False
         lead = self._images[self._lead]
         unmapped = maps_visible(self.own) and self._maps.behind(lead.frame, lead.sheet.origins)
-        return self.drawing.behind > 0 or unmapped
+        return self.own.postponed or self.drawing.behind > 0 or unmapped
 
     def update(self, *, whole: bool) -> bool:
         """Draw what is new.
@@ -133,6 +133,8 @@ class MosaicLayers:
         if maps_visible(self.own):
             self._maps.add(lead.frame, lead.sheet.origins)
         reframed = any(change.frame for change in changes.values()) or (whole and self._is_covered)
+        reframed |= self.own.postponed
+        self.own.begin_update()
         self._show_images(changes, reframed, whole)
         if reframed or whole:
             self._draw_over(mosaics)
@@ -189,7 +191,7 @@ class MosaicLayers:
         lead, place = self._images[self._lead], self._place(self._lead)
         draw_track(self.own, self.drawing.geometry(lead.sheet.origin), place, max(lead.frame.shape))
         counted = self._maps.whole if maps_visible(self.own) else None
-        if counted is not None or self.own.is_new(COVERAGE):
+        if counted is not None or self.own.is_new(COVERAGE) or self.own.is_new(QUALITY):
             draw_maps(self.own, counted or Coverage(lead.frame, mosaics.scale.radius_px), place)
 
     def _reset_track(self, mosaics: Mosaics) -> None:

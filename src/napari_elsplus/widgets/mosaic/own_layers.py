@@ -27,11 +27,17 @@ class OwnLayers:
     ----------
     viewer : napari.Viewer
         The viewer.
+
+    Attributes
+    ----------
+    postponed : bool
+        A layer is still to be created: an update creates one, since napari takes a second for it on a slow computer.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         self._viewer = viewer
         self._obtained: set[str] = set()
+        self._may_make = self.postponed = False
         self._axes, self._adopted = plane_axes(None, ())
 
     @property
@@ -57,11 +63,15 @@ class OwnLayers:
             Size of its pixel; if unknown, it is displayed with that of calibrated layers.
         """
         ours = list(self.present.values())
-        self._obtained = set()
+        self._obtained, self.postponed = set(), False
         self._axes, self._adopted = plane_axes(um_per_px, [one for one in self._viewer.layers if one not in ours])
         for kind, layer in self.present.items():
             if kind not in kinds:
                 self._viewer.layers.remove(layer)
+
+    def begin_update(self) -> None:
+        """Allow that one more layer is created."""
+        self._may_make, self.postponed = True, False
 
     def clear(self) -> None:
         """Remove all of them."""
@@ -75,6 +85,8 @@ class OwnLayers:
     def obtain(self, kind: str, make: Callable[[], Layer], *, select: bool = False) -> tuple[Layer | None, bool]:
         """Return the layer of a kind, created if necessary, and True if it was; None if the user has removed it.
 
+        None, too, where this update has created another: `postponed` is set then, and the next one creates it.
+
         Parameters
         ----------
         kind : str
@@ -85,9 +97,13 @@ class OwnLayers:
             Select a layer that is created.
         """
         layer, new = self.present.get(kind), self.is_new(kind)
-        self._obtained.add(kind)
         made = layer is None and new
+        if made and not self._may_make:
+            self.postponed = True
+            return None, False
+        self._obtained.add(kind)
         if made:
+            self._may_make = False
             layer = make()
         if layer is not None and new:
             layer.scale, layer.units = self._axes["scale"], self._axes["units"]
