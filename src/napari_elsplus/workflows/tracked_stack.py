@@ -73,6 +73,8 @@ class TrackedStack:
         Messages for the user.
     revision : int
         Number that changes when existing poses or segments change.
+    complete : bool
+        True once all frames are tracked and loops closed; never where that was ended before.
 
     Raises
     ------
@@ -99,7 +101,7 @@ class TrackedStack:
         self.plan, self.calibration = plan, calibration
         self.rows = TrackTable()
         self.notes: list[str] = []
-        self.revision = 0
+        self.revision, self.complete = 0, False
         self._frames, self._times_s, self._finished, self._flat = frames, times_s, finished, flat
         self._pairs = RawPairs(frames, plan.tracked, frame_numbers)
         self._followers: dict[Mode, Pipeline] = {}
@@ -172,7 +174,7 @@ class TrackedStack:
         for follower in self._followers.values():
             follower.complete()
         self.rows, self._shown = TrackTable(self.lead.rows), None
-        self.revision += 1
+        self.revision, self.complete = self.revision + 1, True
         self.notes += self._notes_on_track()
 
     def refine(self) -> None:

@@ -18,6 +18,7 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus.io import open_recording, read_track, write_calibration, write_images
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.mosaic.panel import MosaicPanel
+from napari_elsplus.widgets.shared.work import Work
 from recordings import Truth, record, smooth_path, texture
 
 PLUGIN = "napari-elsplus"
@@ -151,13 +152,33 @@ def test_layers_keep_the_users_colours_and_are_used_again(viewer, panel, qtbot):
     assert mosaics(viewer) == OURS - {"mosaic LS", "mosaic ELSA"}
 
 
-def test_stopping_keeps_what_was_laid(viewer, panel, qtbot):
+def test_stopping_keeps_what_was_laid_and_states_what_is_missing(viewer, panel, qtbot, monkeypatch):
+    """Before: 12 of 12 frames were tracked, though the recording has more."""
+    reached, stopped = Event(), Event()
+
+    def progress(items):
+        for index, item in enumerate(Work.progress(panel.work, items)):
+            if index == FRAMES // 2:
+                reached.set()
+                stopped.wait(60)
+            yield item
+
+    monkeypatch.setattr(panel.work, "progress", progress)
     panel.form.start.native.click()
+    qtbot.waitUntil(reached.is_set, timeout=60_000)
     qtbot.waitUntil(lambda: "mosaic ELS+" in viewer.layers, timeout=60_000)
+    assert "stopped" not in panel.form.status.text()
     panel.form.start.native.click()
+    stopped.set()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel.form.start.text == "Mosaic"
     assert np.isfinite(viewer.layers["mosaic ELS+"].data[-1]).any()
+    left = FRAMES - len(panel._shown.rows)
+    assert 0 < left <= FRAMES // 2
+    assert f"stopped before the end</b>: {left} images are left" in panel.form.status.text()
+    monkeypatch.undo()
+    make(panel, qtbot)
+    assert "stopped" not in panel.form.status.text()
 
 
 def test_undo_save_clear_and_their_keys(viewer, panel, qtbot, tmp_path, said):

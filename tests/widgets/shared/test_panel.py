@@ -50,7 +50,8 @@ def test_the_bar_names_the_kernel_that_is_compiled_meanwhile(qtbot):
     assert results == [3]
 
 
-def test_the_bar_displays_steps_in_a_second(qtbot):
+def test_the_bar_displays_the_time_that_is_left(qtbot):
+    """Before: steps in a second, from which nobody can tell how long it takes."""
     ended = Event()
     work = Work(lambda: None)
     qtbot.addWidget(work)
@@ -63,7 +64,7 @@ def test_the_bar_displays_steps_in_a_second(qtbot):
 
     work.begin(0, compute, lambda result: None)
     try:
-        qtbot.waitUntil(lambda: re.fullmatch(r"%p %, \d+/s", bar.format()) is not None, timeout=60_000)
+        qtbot.waitUntil(lambda: re.fullmatch(r"%p %, \d+ s left", bar.format()) is not None, timeout=60_000)
         assert bar.value() == 40
     finally:
         ended.set()

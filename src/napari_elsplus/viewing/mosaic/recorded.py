@@ -124,6 +124,11 @@ class StackMosaics(TrackedStack):
             max_trackable_px_per_frame(grid.diameter, per_grid_px, self.plan.method),
         )
 
+    @property
+    def untracked(self) -> int:
+        """Number of images that were not tracked yet."""
+        return len(self._pairs) - len(self.rows)
+
     def compile_kernels(self) -> None:
         """Process two frames and discard the result, so that all kernels are compiled before the viewer needs them."""
         pipeline = self._pipeline(self.plan.tracked)

@@ -337,7 +337,7 @@ class MosaicPanel(EnginePanel):
                 return compilation_remark(status.compiling).capitalize()
             waiting = self.work.busy or self.requests.busy
             return "Starting..." if waiting else next_hint(HINT)
-        text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px)
+        text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px, busy=self.work.busy)
         if status is None or not isinstance(self._shown, LiveMosaicView):
             return text
         return f"{text}{track_text(status, calibration)}"

@@ -57,15 +57,16 @@ class SpeedBar(QWidget):
         self._theme = theme
 
     def show_speed(self, speed: Speed | None, *, growing: bool = False) -> None:
-        """Show a speed; None if unknown.
+        """Show a speed; None hides the bar.
 
         Parameters
         ----------
         speed : Speed or None
-            Of the latest frames.
+            Of the latest frames; None without a mosaic.
         growing : bool
             Frames with light are being inserted, so that a track can be lost.
         """
+        self.setVisible(speed is not None)
         losing = growing and speed is not None and speed.tracked < MIN_TRACKED_SHARE
         if speed is None or not (isfinite(speed.share) or losing):
             self._fill(0)

@@ -49,7 +49,7 @@ class Work(QWidget):
         self._name, self._kernel = "", [""]
         self._bar, self._step = QProgressBar(), text_label()
         self._cancel = QPushButton("Cancel")
-        self._cancel.setToolTip("Stop after this frame; nothing is changed")
+        self._cancel.setToolTip("Stop after this step")
         self._cancel.clicked.connect(self.cancel)
         layout = QGridLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -146,8 +146,8 @@ class Work(QWidget):
         self._step.setVisible(bool(self._step.text()))
         self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
-        rate = self._done / (perf_counter() - self._since)
-        self._bar.setFormat(f"%p %, {rate:.0f}/s" if rate >= 1 and not self._name else "%p %")
+        left_s = (perf_counter() - self._since) * (self._total / self._done - 1) if self._done else 0.0
+        self._bar.setFormat("%p %" if self._name or left_s < 1 else f"%p %, {duration_text(left_s)} left")
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome
@@ -162,3 +162,14 @@ class Work(QWidget):
         del self._finished
         self.hide()
         self._ended()
+
+
+def duration_text(seconds: float) -> str:
+    """Return a number of `seconds` as text, in minutes from two minutes on.
+
+    Examples
+    --------
+    >>> duration_text(119.0), duration_text(121.0)
+    ('119 s', '2 min')
+    """
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
