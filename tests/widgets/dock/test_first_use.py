@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import tifffile
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Settings
+from napari_elsplus.widgets.analysis.axial import MANUAL
 from napari_elsplus.widgets.shared.problems import problems
-from pairs import write_pair
+from pairs import frames, write_pair
 
 PLUGIN = "napari-elsplus"
 
@@ -43,6 +45,19 @@ def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, t
     qtbot.waitUntil(lambda: "press Calibrate simulated rig" in "".join(hints(panel(dock, "Rig"))), timeout=60_000)
     panel(dock, "Calibration").choose("offset")
     assert "press Measure" in hints(panel(dock, "Calibration"))[0]
+
+
+def test_a_recording_without_calibration_is_named_with_the_way_to_one(dock, qtbot, drop, tmp_path):
+    """Before: *open a recording with a calibration*, while the user's recording lay open."""
+    tifffile.imwrite(tmp_path / "mine.tif", frames())
+    axial = panel(dock, "Axial response")
+    axial.source.value = MANUAL
+    drop(panel(dock, "Compare"), tmp_path / "mine.tif")
+    for one in (panel(dock, "Compare"), panel(dock, "Quality"), axial):
+        (hint,) = hints(one)
+        assert "give mine raw a calibration: make one in Calibration, or drop its file" in hint
+    drop(panel(dock, "Compare"), write_pair(tmp_path))
+    assert "press Compare" in hints(panel(dock, "Compare"))[0]
 
 
 def test_every_control_has_a_tooltip_and_a_disabled_button_names_the_reason(dock):

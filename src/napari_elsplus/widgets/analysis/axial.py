@@ -25,7 +25,6 @@ from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.analysis.axial_plots import drop_off_curves, response_curves, table
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_RECORDING_FIRST,
     LayerChoice,
     calibrated_frames,
     calibrated_recordings,
@@ -222,7 +221,7 @@ class AxialResponsePanel(AnalysisPanel):
             return f"press Measure; {MANY}" if self.stack.choices else OPEN_SCAN
         if self.source.value == MANUAL:
             add = f"set the depth of the plate and press Add frame, at {MIN_DEPTHS} depths or more."
-            return add if self.live.choices else OPEN_RECORDING_FIRST
+            return add if self.live.choices else self.live.remedy
         return f"press Simulate and measure; {MANY}"
 
     def _start(self, frames: int, work: Any) -> None:
@@ -254,7 +253,7 @@ class AxialResponsePanel(AnalysisPanel):
         )
         set_enabled(self.simulate, idle, "Simulate a scan and measure it", WAIT)
         takes = "Add the displayed frame at this depth, and advance the depth by a step"
-        set_enabled(self.take, bool(self.live.choices), takes, OPEN_RECORDING_FIRST)
+        set_enabled(self.take, bool(self.live.choices), takes, self.live.remedy)
         set_enabled(self.script, stacks, "Copy a Python script that measures the selected stack", OPEN_SCAN)
         self._show_numbers()
 

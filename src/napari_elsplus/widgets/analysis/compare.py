@@ -25,7 +25,6 @@ from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.analysis.comparison_layers import ComparedImage, ComparisonLayers
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_RECORDING_FIRST,
     LayerChoice,
     calibrated_recordings,
     chosen_recording,
@@ -159,7 +158,7 @@ class ComparePanel(AnalysisPanel):
     def show_numbers(self) -> None:
         """Show contrast, background and line profiles of the displayed frame."""
         if self._comparison is None:
-            hint = next_hint(HINT if self.recording.choices else OPEN_RECORDING_FIRST)
+            hint = next_hint(HINT if self.recording.choices else self.recording.remedy)
             self.numbers.setText(PREPARING if self.work.busy else hint)
             return
         images = self._comparison.at(self._index())
@@ -296,8 +295,10 @@ class ComparePanel(AnalysisPanel):
             choice.enabled = idle
         self.start.text = "End comparison" if self.comparing else "Compare"
         shows = "Display LS, ELSA and ELS+ of the recording; press again to end"
-        set_enabled(self.start, available and idle, shows, "wait for the images" if available else OPEN_RECORDING_FIRST)
-        set_enabled(self.script, available, "Copy a Python script that makes this comparison", OPEN_RECORDING_FIRST)
+        set_enabled(
+            self.start, available and idle, shows, "wait for the images" if available else self.recording.remedy
+        )
+        set_enabled(self.script, available, "Copy a Python script that makes this comparison", self.recording.remedy)
         set_enabled(
             self.rescale, self.comparing, "Set the contrast limits from the displayed frame", "start the comparison"
         )

@@ -29,7 +29,6 @@ from napari_elsplus.viewing.quality import (
 from napari_elsplus.viewing.stack import images_origin_px, space, um_per_px_of
 from napari_elsplus.widgets.analysis.panel import AnalysisPanel
 from napari_elsplus.widgets.shared.choosing import (
-    OPEN_RECORDING_FIRST,
     LayerChoice,
     calibrated_recordings,
     chosen_recording,
@@ -165,7 +164,7 @@ class QualityPanel(AnalysisPanel):
             )
         if self._boxes is not None and not self.boxes_px:
             parts.append(next_hint(DRAW))
-        hint = next_hint(HINT if self.recording.choices else OPEN_RECORDING_FIRST)
+        hint = next_hint(HINT if self.recording.choices else self.recording.remedy)
         self.numbers.setText("<br>".join(parts) or hint)
         set_enabled(
             self.save, self.edge is not None, "Save the profile through the edge map as PNG or CSV", "make an edge map"
@@ -254,16 +253,16 @@ class QualityPanel(AnalysisPanel):
         available = bool(self.recording.choices)
         idle, first = (
             available and not self.work.busy,
-            "wait until the measurement ends" if available else OPEN_RECORDING_FIRST,
+            "wait until the measurement ends" if available else self.recording.remedy,
         )
         set_enabled(
-            self.align, available, "Measure the mean difference of the two views of this frame", OPEN_RECORDING_FIRST
+            self.align, available, "Measure the mean difference of the two views of this frame", self.recording.remedy
         )
         set_enabled(
             self.mark, idle, "Draw boxes around the elements of a USAF 1951 target, to measure their contrast", first
         )
         set_enabled(self.average, idle, "Average the residual images of the recording", first)
-        set_enabled(self.script, available, "Copy a Python script that makes these measurements", OPEN_RECORDING_FIRST)
+        set_enabled(self.script, available, "Copy a Python script that makes these measurements", self.recording.remedy)
         self.show_numbers()
 
     def _work_ended(self) -> None:

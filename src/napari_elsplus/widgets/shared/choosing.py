@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from magicgui.widgets import ComboBox
@@ -14,13 +14,10 @@ from napari_elsplus.viewing.provenance import provenance_of
 
 LIVE: Final = "live"
 """Prefix of the metadata kind of layers that show live images."""
-OPEN_RECORDING_FIRST: Final = (
-    "open a recording with a calibration, or a sample: File > Open Sample > ELS+ endomicroscopy"
-)
-"""Remedy in the tooltip of a button where no layer can be chosen."""
+SAMPLE: Final = "a sample: File > Open Sample > ELS+ endomicroscopy"
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     import napari.viewer
@@ -61,6 +58,21 @@ class LayerChoice(ComboBox):
         """The chosen layer."""
         return self._layer
 
+    @property
+    def remedy(self) -> str:
+        """What the user has to do where no recording with a calibration can be chosen."""
+        bare = [
+            name
+            for name, facts in _noted(self._viewer).items()
+            if facts.get("kind") == RAW and not facts.get("calibration")
+        ]
+        if not bare:
+            return f"open a recording with a calibration, or {SAMPLE}"
+        return (
+            f"give {bare[-1]} a calibration: make one in Calibration, or drop its file on napari, then open the "
+            f"recording again; or open {SAMPLE}"
+        )
+
     def refresh(self) -> None:
         """Update the entries without a changed signal; a layer that is still offered stays chosen, by whatever name."""
         with self.changed.blocked():
@@ -87,8 +99,12 @@ def calibrated_frames(viewer: napari.viewer.Viewer) -> list[str]:
 
 
 def _calibrated(viewer: napari.viewer.Viewer, kind: str) -> list[str]:
-    noted = {layer.name: provenance_of(layer.metadata) for layer in viewer.layers}
-    return [name for name, facts in noted.items() if facts.get("kind") == kind and facts.get("calibration")]
+    noted = _noted(viewer).items()
+    return [name for name, facts in noted if facts.get("kind") == kind and facts.get("calibration")]
+
+
+def _noted(viewer: napari.viewer.Viewer) -> dict[str, Mapping[str, Any]]:
+    return {layer.name: provenance_of(layer.metadata) for layer in viewer.layers}
 
 
 def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:
