@@ -27,6 +27,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall, remember
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
+from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.shared.calibration_state import AMBER
@@ -186,6 +187,35 @@ def test_keys_start_and_stop(viewer, panel, qtbot):
     qtbot.waitUntil(lambda: panel.live, timeout=30_000)
     QTest.keyClick(panel, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
     qtbot.waitUntil(lambda: not panel.live, timeout=30_000)
+
+
+def test_a_start_that_is_commanded_twice_or_by_two_panels_connects_once_and_is_displayed(
+    viewer, panel, qtbot, small_engine, said, monkeypatch
+):
+    """Before: the second one closed the engine of the first, which was reported as an error."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    viewer.window.show()
+    panel.window().activateWindow()
+    qtbot.waitUntil(lambda: panel.window().isActiveWindow(), timeout=60_000)
+    panel.connection.disconnect()
+    may_open = Event()
+    monkeypatch.setattr(EngineClient, "open", lambda client, name: (may_open.wait(60), client.call("open", name))[1])
+    line = StatusLine()
+    qtbot.addWidget(line)
+    try:
+        for _ in range(2):
+            QTest.keyClick(panel, Qt.Key.Key_Return, Qt.KeyboardModifier.ControlModifier)
+        qtbot.waitUntil(lambda: not rig.connect.enabled, timeout=60_000)
+        assert "Connecting" in rig.status.text()
+        line.update_from(panel.connection)
+        assert "connecting to simulated" in line.state.text()
+    finally:
+        may_open.set()
+    qtbot.waitUntil(lambda: panel.live, timeout=60_000)
+    assert len(small_engine) == 2, "the one of before, and one more"
+    assert [message for severity, message in said() if severity == "error"] == []
+    line.update_from(panel.connection)
+    assert "connecting" not in line.state.text()
 
 
 def test_the_key_of_one_frame_is_not_that_of_the_command_palette(viewer, panel, qtbot, tmp_path):

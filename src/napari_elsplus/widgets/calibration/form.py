@@ -268,6 +268,7 @@ class Form:
         state: StepState,
         missing: tuple[str, str],
         connected: bool,
+        connecting: bool,
         busy: bool,
         following: bool,
         candidate: bool,
@@ -285,16 +286,16 @@ class Form:
             Of the step.
         missing : tuple of str
             Steps that must come first, live and from a file; empty if none.
-        connected, busy, following : bool
-            A rig is connected; something is being measured; the slit offset is being followed.
+        connected, connecting, busy, following : bool
+            A rig is connected, or being connected; something is measured; the slit offset is being followed.
         candidate, past, scripted, present : bool
             A result is not accepted yet; a step can be undone; a step was measured here; the calibration has a section.
         """
         self.connect_button.setText("Disconnect" if connected else "Connect")
         self.connect_button.setToolTip("Park the galvo, and close the rig" if connected else "Open camera and galvo")
-        self.connect_button.setEnabled(not busy)
-        self.rig.setEnabled(not busy and not connected)
-        self.preset.setEnabled(not busy and not connected)
+        self.connect_button.setEnabled(not busy and not connecting)
+        for choice in (self.rig, self.preset):
+            choice.setEnabled(not (busy or connecting or connected))
         self.measure.setText("Measure" if state is StepState.MISSING else "Measure again")
         measured = "something is being measured" if busy else ""
         why = "connect to a rig first" if not connected else measured or missing[0]

@@ -73,7 +73,7 @@ class CalibrationPanel(EnginePanel):
         self._setup: Setup | None = None
         self._following: measuring.OffsetFollowing | None = None
         self._saved: Calibration | None = None
-        self._known: tuple[Settings | None, dict[str, str]] = (None, {})
+        self._known: tuple[Settings | None, str | None, dict[str, str]] = (None, None, {})
         self.sharing = Sharing(self.connection)
         self.work = Work(self.refresh, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
@@ -343,7 +343,8 @@ class CalibrationPanel(EnginePanel):
         progress = None if client is None else client.status.progress
         if self.work.busy and progress is not None:
             self.work.show_step(progress.step, progress.done, progress.total)
-        known = self.connection.settings, {} if client is None else dict(client.status.stale)
+        stale = {} if client is None else dict(client.status.stale)
+        known = self.connection.settings, self.connection.connecting, stale
         if known != self._known and not self.work.busy:
             self._known, self._setup = known, None
             self.refresh()
@@ -382,6 +383,7 @@ class CalibrationPanel(EnginePanel):
             state=step.state(draft, self._setup)[0],
             missing=(step.missing(draft), step.missing(draft, live=False)),
             connected=connected,
+            connecting=self.connection.connecting is not None,
             busy=busy,
             following=self._following is not None,
             candidate=candidate,

@@ -56,7 +56,9 @@ class StatusLine(QWidget):
         """
         client = connection.client
         status = None if client is None else client.status
-        lines = [rig_line(connection.rig if client is not None else None, status)]
+        connecting = connection.connecting
+        rig = connection.rig if client is not None else None
+        lines = [rig_line(rig, status) if connecting is None else f"<b>connecting to {connecting}</b>..."]
         calibration, file = connection.calibration, connection.calibration_file
         first, *lacking = calibration_lines(calibration, active_calibration() if calibration is None else file)
         lines.append("; ".join([first, *lacking]))

@@ -25,12 +25,12 @@ from napari_elsplus.widgets.shared.panel import (
     text_label,
 )
 from napari_elsplus.widgets.shared.requests import RequestBar
-from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
+from napari_elsplus.widgets.shared.window.keys import bind_buttons, key_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from qtpy.QtWidgets import QWidget
+    from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 
 SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
@@ -43,11 +43,11 @@ class LiveForm:
 
     Parameters
     ----------
-    panel : QWidget
+    panel : EnginePanel
         The panel that contains them.
     """
 
-    def __init__(self, panel: QWidget) -> None:
+    def __init__(self, panel: EnginePanel) -> None:
         self.start, self.record, self.snapping = (
             PushButton(text=word) for word in ("Start", "Record", "Save one frame")
         )
@@ -178,9 +178,10 @@ class LiveForm:
         view : callable
             Called when the processing of live images changes.
         """
-        for slot, button in zip(slots.values(), (self.start, self.record, self.snapping), strict=True):
-            button.clicked.connect(slot)
-        bind_keys(self._panel, slots)
+        buttons = dict(zip(slots, (self.start, self.record, self.snapping), strict=True))
+        for name, button in buttons.items():
+            button.clicked.connect(slots[name])
+        bind_buttons(self._panel, buttons, self._panel.refresh)
         for choice in (self.background, self.flat_field, self.row_reference, self.cores, self.average):
             choice.changed.connect(view)
         for box in (*self.kinds.values(), self.side_by_side):

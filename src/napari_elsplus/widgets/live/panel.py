@@ -152,7 +152,7 @@ class LivePanel(EnginePanel):
         """Update status text and buttons."""
         client = self.connection.client
         status = client.status if client is not None else None
-        live, busy = self.live, self.requests.busy
+        live, busy = self.live, self.waiting
         calibrating = status is not None and status.progress is not None
         recording = status is not None and status.recording is not None and status.recording.running
         self.form.set_enabled(live=live, busy=busy, calibrating=calibrating, recording=recording)

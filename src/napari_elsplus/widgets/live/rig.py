@@ -135,9 +135,9 @@ class RigPanel(EnginePanel):
 
     def refresh(self) -> None:
         """Update status text, buttons, and settings that another panel has applied."""
-        if not self.requests.busy and self.connection.settings is not self._shown:
+        client, busy = self.connection.client, self.waiting
+        if not busy and self.connection.settings is not self._shown:
             self._show_accepted()
-        client, busy = self.connection.client, self.requests.busy
         connected = client is not None
         simulated = is_simulated(self.connection.rig)
         progress = client.status.progress if client is not None else None

@@ -22,7 +22,7 @@ from napari_elsplus.widgets.shared.panel import (
     restore_fields,
     text_label,
 )
-from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name
+from napari_elsplus.widgets.shared.window.keys import bind_buttons, key_name
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     import napari.viewer
     from qtpy.QtWidgets import QWidget
+
+    from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 
 SECTION: Final = "mosaic"
 INSERTION_LABELS: Final = {
@@ -45,7 +47,7 @@ class MosaicForm:
 
     Parameters
     ----------
-    panel : QWidget
+    panel : EnginePanel
         The panel that contains them.
     work : QWidget
         The progress bar.
@@ -53,7 +55,7 @@ class MosaicForm:
         The viewer whose layers are offered.
     """
 
-    def __init__(self, panel: QWidget, work: QWidget, viewer: napari.viewer.Viewer) -> None:
+    def __init__(self, panel: EnginePanel, work: QWidget, viewer: napari.viewer.Viewer) -> None:
         tip = "A raw recording, or any stack of images of a moving probe"
         self.recording = LayerChoice(viewer, source_names, "stack", tip)
         self.calibration = FileEdit(
@@ -117,7 +119,7 @@ class MosaicForm:
         }  # fmt: skip
         for name, slot in slots.items():
             buttons[name].clicked.connect(slot)
-        bind_keys(self._panel, slots)
+        bind_buttons(self._panel, buttons, self._panel.refresh)
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 

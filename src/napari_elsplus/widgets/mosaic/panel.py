@@ -243,7 +243,7 @@ class MosaicPanel(EnginePanel):
         client = self.connection.client
         calibrating = client is not None and client.status.progress is not None
         self.form.set_enabled(
-            busy=busy, requesting=self.requests.busy, present=present, live=self.live, calibrating=calibrating
+            busy=busy, requesting=self.waiting, present=present, live=self.live, calibrating=calibrating
         )
         self.form.status.setText(self._status_text())
         if self._shown is not None:
@@ -335,8 +335,7 @@ class MosaicPanel(EnginePanel):
         if self._shown is None or drawing is None:
             if status is not None and status.compiling:
                 return compilation_remark(status.compiling).capitalize()
-            waiting = self.work.busy or self.requests.busy
-            return "Starting..." if waiting else next_hint(HINT)
+            return "Starting..." if self.work.busy or self.waiting else next_hint(HINT)
         text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px, busy=self.work.busy)
         if status is None or not isinstance(self._shown, LiveMosaicView):
             return text
@@ -366,8 +365,6 @@ class MosaicPanel(EnginePanel):
         )
 
     def _ask_where_to_save(self) -> None:
-        if not self.form.saving.enabled:
-            return
         kinds = dialog_filter(TIFF, writing=True)
         choose_file_to_write(self, "Save mosaics", "mosaic.ome.tif", kinds, self.save)
 

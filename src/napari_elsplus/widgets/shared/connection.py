@@ -48,6 +48,8 @@ class Connection:
         self._settings: Settings | None = None
         self.rig: str | None = None
         """Name of the connected rig."""
+        self.connecting: str | None = None
+        """Name of the rig that is being opened, by whichever panel; opening it once more would close it first."""
         self.parks = 0
         """Times that a user has commanded to park; what was commanded before one of them does not move the galvo."""
 
@@ -170,23 +172,12 @@ class Connection:
             If there is no such rig, or the camera refuses the settings; if ``heartbeat_timeout_s`` of ``[rig]`` in the
             settings file is too short.
         """
-        with self._lock:
-            if self._users == 0:  # closed before this thread came to it; later, `leave` finds the lock and ends it
-                raise DeviceError("the last panel was closed", "open one, then connect again")
-            self._end()
-            client = EngineClient()
-            try:
-                client.open(rig).result()
-                client.configure(settings).result()
-                if (timeout_s := recall("rig").get("heartbeat_timeout_s")) is not None:
-                    client.set_heartbeat_timeout(float(timeout_s)).result()
-                client.beat_while(self._processes_events)
-            except BaseException:
-                client.close()
-                raise
-            self._settings = settings
-            self._client, self.rig = client, rig
-        return client
+        self.connecting = rig
+        try:
+            with self._lock:
+                return self._open(rig, settings)
+        finally:
+            self.connecting = None
 
     def disconnect(self) -> None:
         """End the engine's process: park the galvo, finish a recording; the active calibration is kept.
@@ -231,6 +222,24 @@ class Connection:
     def note_events(self) -> None:
         """Note that the window's events are processed; called twice a second, else the galvo is parked."""
         self._events_s = time.monotonic()
+
+    def _open(self, rig: str, settings: Settings) -> EngineClient:
+        if self._users == 0:  # closed before this thread came to it; later, `leave` finds the lock and ends it
+            raise DeviceError("the last panel was closed", "open one, then connect again")
+        self._end()
+        client = EngineClient()
+        try:
+            client.open(rig).result()
+            client.configure(settings).result()
+            if (timeout_s := recall("rig").get("heartbeat_timeout_s")) is not None:
+                client.set_heartbeat_timeout(float(timeout_s)).result()
+            client.beat_while(self._processes_events)
+        except BaseException:
+            client.close()
+            raise
+        self._settings = settings
+        self._client, self.rig = client, rig
+        return client
 
     def _end(self) -> None:
         active, path = self.calibration, self.calibration_file

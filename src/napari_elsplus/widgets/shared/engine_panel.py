@@ -51,6 +51,11 @@ class EnginePanel(Panel):
         self._parks = 0
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
+    @property
+    def waiting(self) -> bool:
+        """True while a request of this panel is outstanding, or a panel is connecting to a rig."""
+        return self.requests.busy or self.connection.connecting is not None
+
     def refresh(self) -> None:
         """Update what the panel shows; called after each answer of the engine, and by the panel's own timer."""
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakMethod
 
 from qtpy.QtGui import QKeySequence, QShortcut  # type: ignore[attr-defined] # where Qt 6 has it
 
@@ -11,6 +13,7 @@ from napari_elsplus.widgets.shared.window.main_window import when_docked
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from magicgui.widgets import PushButton
     from qtpy.QtWidgets import QMainWindow, QWidget
 
 KEYS: Final = {
@@ -55,3 +58,25 @@ def bind_keys(panel: QWidget, slots: Mapping[str, Callable[[], Any]]) -> None:
             shortcut.setParent(window)
 
     when_docked(panel, widen)
+
+
+def bind_buttons(panel: QWidget, buttons: Mapping[str, PushButton], refresh: Callable[[], Any]) -> None:
+    """Bind keys that press buttons: nothing is done while a button is disabled, as by the mouse.
+
+    Parameters
+    ----------
+    panel : QWidget
+        As of :func:`bind_keys`.
+    buttons : mapping of str to magicgui.widgets.PushButton
+        By action, a name in `KEYS`.
+    refresh : callable
+        Method that enables and disables them by the present state; it is not kept alive.
+    """
+    kept = WeakMethod(refresh)
+
+    def press(button: PushButton) -> None:
+        if (enable := kept()) is not None:
+            enable()
+        button.native.click()
+
+    bind_keys(panel, {action: partial(press, button) for action, button in buttons.items()})
