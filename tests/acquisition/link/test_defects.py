@@ -101,6 +101,16 @@ def test_a_galvo_at_rest_is_no_fault_of_a_frozen_window(rig) -> None:
     session.close()
 
 
+def test_a_procedure_that_prepares_names_no_command_and_counts_nothing(rig) -> None:
+    """Before: `use simulated calibration, 0 of 1`, for half a minute where the rig is calibrated for the first time."""
+    session = Session(lambda _: rig)
+    session.open("small")
+    session.engine.configure(Settings("240hz", frame_rate_hz=100.0))
+    with session.procedure("use simulated calibration", time.perf_counter(), activates=True):
+        assert str(session.status.progress) == "preparing"
+    session.close()
+
+
 def test_a_frozen_window_ends_a_procedure_whose_galvo_is_parked_at_the_moment(rig) -> None:
     """Before: it moved the galvo afterwards, as the slit offset is followed with rests, and nothing acted again."""
     session = Session(lambda _: rig)

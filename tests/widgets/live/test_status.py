@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from napari_elsplus.acquisition.engine.live_images import Measures
-from napari_elsplus.acquisition.engine.status import RecordingState, Status
+from napari_elsplus.acquisition.engine.status import ProcedureProgress, RecordingState, Status
 from napari_elsplus.acquisition.streaming.faults import Fault
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.parking import ParkStage, ParkState
@@ -18,6 +18,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.widgets.dock.status_line import newest_fault, rig_line
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.connection import join
+from napari_elsplus.widgets.shared.requests import RequestBar
 
 GALVO = {"volts_per_row": 1e-3, "volts_at_row_zero": 0.0, "r_squared": 1.0, "rms_rows": 0.0}
 ADVICE = "scan lag not measured: the image is off the slit"
@@ -46,6 +47,15 @@ def test_rates_latency_losses_and_disk_are_stated(tmp_path: Path):
     for words in ("camera 240 Hz", "display 59 Hz", "latency", "lost: 3 (recorder slow)", "480 frames, 2.0 s"):
         assert words in text
     assert "10 min of disk space left" in text
+
+
+def test_a_procedure_that_prepares_is_displayed_without_a_percentage(qtbot):
+    bar = RequestBar()
+    qtbot.addWidget(bar)
+    preparing = Status(progress=ProcedureProgress("preparing", 0, 0))
+    bar.show_state(preparing, busy=True)
+    assert bar.maximum() == 0, "it moves, and has no end"
+    assert status_text(preparing, None, 0.0, busy=True) == "Calibrating: preparing"
 
 
 def test_a_parked_galvo_is_said_while_dark_frames_stream():

@@ -74,7 +74,12 @@ class ProcedureProgress:
     step : str
         Name of the step.
     done, total : int
-        Parts of the step that are done, and all.
+        Parts of the step that are done, and all; 0 in all if unknown.
+
+    Examples
+    --------
+    >>> str(ProcedureProgress("galvo map", 3, 60)), str(ProcedureProgress("preparing", 0, 0))
+    ('galvo map, 3 of 60', 'preparing')
     """
 
     step: str
@@ -82,7 +87,7 @@ class ProcedureProgress:
     total: int
 
     def __str__(self) -> str:
-        return f"{self.step}, {self.done} of {self.total}"
+        return f"{self.step}, {self.done} of {self.total}" if self.total else self.step
 
 
 @dataclass(frozen=True, slots=True)

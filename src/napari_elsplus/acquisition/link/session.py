@@ -239,7 +239,7 @@ class Session:
         engine, before = self.engine, self.engine.calibration
         with engine.operations.alone(name, long=True, given_s=given_s):
             self._cancelled.clear()
-            self._progress = ProcedureProgress(name, 0, 1)
+            self._progress = ProcedureProgress("preparing", 0, 0)
             done = False
             try:
                 yield
