@@ -36,6 +36,10 @@ class InputError(ElsPlusError):
     """A file, array or option that cannot be used as it is."""
 
 
+class CancelledError(InputError):
+    """An operation that the user has cancelled."""
+
+
 class CalibrationError(ElsPlusError):
     """A calibration that is broken, incomplete, or does not fit what it is applied to."""
 

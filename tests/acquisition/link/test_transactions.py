@@ -18,7 +18,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.commands import COMMANDS, Commands, Scheduling
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import CancelledError, InputError
 from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording
@@ -81,7 +81,7 @@ def test_what_would_disturb_a_procedure_is_refused_and_told_what_runs(client: En
     assert not sweeping.done()
     client.show(LiveView(average=2)).result(5)
     client.cancel().result(5)
-    with pytest.raises(InputError, match="cancelled"):
+    with pytest.raises(CancelledError, match="cancelled"):
         sweeping.result(20)
     client.configure(SLOW).result(20)
 

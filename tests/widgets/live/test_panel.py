@@ -22,11 +22,13 @@ from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
-from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.errors import CancelledError, DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall, remember
+from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.scan.lag import ScanLag
+from napari_elsplus.processing.calibration.steps import GALVO
 from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
@@ -303,6 +305,19 @@ def test_the_rig_panel_displays_the_settings_by_which_another_panel_connected(vi
     steps.connect_rig()
     qtbot.waitUntil(lambda: not steps.work.busy, timeout=60_000)
     assert rig.connection.settings is None
+
+
+def test_a_calibration_that_the_user_cancels_is_no_error(viewer, panel, qtbot, said):
+    """Before: a notification and a warning that stayed, with the advice to start it again."""
+    measured = panel.connection.client.measure_step(GALVO, Draft(small_calibration()), 2000)
+    panel.requests.follow(measured)
+    qtbot.waitUntil(lambda: panel.form.start.text == "Cancel calibration", timeout=60_000)
+    panel.form.start.native.click()
+    qtbot.waitUntil(lambda: not panel.requests.busy, timeout=60_000)
+    assert isinstance(measured.exception(), CancelledError)
+    assert said() == []
+    assert problems.newest == ""
+    qtbot.waitUntil(lambda: "Stopped" in panel.form.status.text(), timeout=60_000)
 
 
 def test_the_calibration_panel_displays_the_rig_that_another_panel_connected(viewer, qtbot, small_engine):

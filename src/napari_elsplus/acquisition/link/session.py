@@ -13,7 +13,7 @@ from napari_elsplus.acquisition.link.supervision import Supervision
 from napari_elsplus.acquisition.mosaic.board import MosaicBoard
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack, TrackState
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
-from napari_elsplus.errors import CalibrationError, DeviceError, InputError, MeasurementError
+from napari_elsplus.errors import CalibrationError, CancelledError, DeviceError, MeasurementError
 from napari_elsplus.hardware.parking import ParkState
 from napari_elsplus.hardware.priority import settle_memory
 
@@ -262,7 +262,7 @@ class Session:
         every = list(numbers)
         for done, number in enumerate(every):
             if self._cancelled.is_set():
-                raise InputError(f"the {step} was cancelled", "start it again when you like")
+                raise CancelledError(f"the {step} was cancelled", "start it again when you like")
             self._progress = ProcedureProgress(step, done, len(every))
             yield number
 

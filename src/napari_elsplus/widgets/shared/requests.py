@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QProgressBar
 
-from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.errors import CancelledError, ElsPlusError, error_message
 from napari_elsplus.widgets.shared.panel import timer
 from napari_elsplus.widgets.shared.problems import problems
 
@@ -125,7 +125,10 @@ class PendingRequests(QObject):
         for request in [request for request in self._open if request.future.done()]:
             self._open.remove(request)
             error = request.future.exception()
-            if isinstance(error, (ElsPlusError, OSError)):
+            if isinstance(error, CancelledError):  # by the user, who needs no remedy
+                problems.resolve(self._panel)
+                request.failed()
+            elif isinstance(error, (ElsPlusError, OSError)):
                 problems.report(error_message(error), self._panel)
                 request.failed()
             elif error is not None:
