@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 import weakref
 from functools import cache
 from threading import Event
@@ -255,6 +257,35 @@ def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
     layer = viewer.layers["mosaic my images"]
     assert layer.scale == pytest.approx([2, 2])
     assert "<b>10</b> of 10" in panel.form.status.text()
+
+
+def test_finished_images_that_were_opened_as_raw_frames_are_ticked_as_such(viewer, panel, qtbot, tmp_path, said):
+    """Before: another microscope's TIFF had no calibration, and there was no way to its mosaic."""
+    scene = 100 * texture(500, 3)
+    images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)]).astype(np.uint16)
+    (tmp_path / "bare").mkdir()
+    path = tmp_path / "bare" / "video.tif"
+    tifffile.imwrite(path, images)
+    assert panel.form.finished.native.isHidden()
+    viewer.open(str(path), plugin=PLUGIN)
+    panel.form.recording.value = "video raw"
+    assert not panel.form.finished.native.isHidden()
+    panel.form.start.native.click()
+    ((_, message),) = [one for one in said() if one[0] == "error"]
+    assert "tick finished images" in message
+    panel.form.finished.value = True
+    make(panel, qtbot)
+    assert "mosaic video" in viewer.layers
+    assert "<b>10</b> of 10" in panel.form.status.text()
+    panel.copy_script()
+    script = QApplication.clipboard().text()
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert [one.state for one in read_track(tmp_path / "video-mosaic.track.csv")] == ["tracked"] * 10
+    panel.form.recording.value = "scan raw"
+    assert panel.form.finished.native.isHidden()
+    make(panel, qtbot)
+    assert f"<b>{FRAMES}</b> of {FRAMES}" in panel.form.status.text()
 
 
 def test_a_mosaic_of_images_without_a_scale_is_not_measured(viewer, panel, qtbot, tmp_path):

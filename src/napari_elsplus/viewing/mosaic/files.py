@@ -10,7 +10,7 @@ from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.mosaic.growing import SATURATED_FRACTION
-from napari_elsplus.viewing.script import recording_script
+from napari_elsplus.viewing.script import recording_script, write_script
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
 
@@ -116,3 +116,29 @@ for path in save_mosaics(mosaics, Path({f"{stack.name}-mosaic.ome.tif"!r}), plan
         "from napari_elsplus.workflows.mosaic_plan import MosaicPlan",
     )
     return recording_script(f"Mosaics and track of {stack.file_name}.", stack, calibration_file, body, imports)
+
+
+def finished_script(stack: Stack, plan: MosaicPlan) -> str:
+    """Return a script that makes and saves the mosaic of a stack of finished images.
+
+    Parameters
+    ----------
+    stack : Stack
+        Images in a file.
+    plan : MosaicPlan
+        Method and insertion.
+
+    Raises
+    ------
+    InputError
+        If the stack has no file.
+    """
+    if stack.recording is None:
+        raise InputError(f"{stack.name} has no file", "save its layer, and open that")
+    names = f"{stack.name}-mosaic.ome.tif", f"{stack.name}-mosaic.track.csv"
+    body = f"""
+with elsplus.open_recording({str(stack.recording.path)!r}) as images:
+    result = elsplus.mosaic(images, finished=True, method={str(plan.method)!r}, insertion={plan.insertion.value!r})
+result.save({names[0]!r}, {names[1]!r})
+"""
+    return write_script(f"Mosaic and track of {stack.file_name}.", body)

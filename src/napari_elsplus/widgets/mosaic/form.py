@@ -11,7 +11,7 @@ from napari_elsplus.io.settings import remember
 from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
-from napari_elsplus.widgets.mosaic.sources import source_names
+from napari_elsplus.widgets.mosaic.sources import is_uncalibrated, source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.widgets.shared.choosing import LayerChoice
 from napari_elsplus.widgets.shared.panel import (
@@ -61,6 +61,10 @@ class MosaicForm:
         self.calibration = FileEdit(
             label="calibration", mode=FileDialogMode.EXISTING_FILE, filter="*.json", nullable=True,
             tooltip="A calibration file; empty: the recording's own",
+        )  # fmt: skip
+        self.finished = CheckBox(
+            value=False, text="finished images", visible=False,
+            tooltip="The stack contains images of another microscope, as they are: one view, without a calibration",
         )  # fmt: skip
         self.modes = {
             mode: CheckBox(value=mode is Mode.ELS, text=mode.label, tooltip=_TIPS[mode]) for mode in COMPARED_MODES
@@ -137,6 +141,7 @@ class MosaicForm:
         live, calibrating : bool
             The engine is making a mosaic, or calibrating.
         """
+        self.finished.visible = is_uncalibrated(self.recording.layer)
         self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
         self.going_live.enabled = calibrating or not (busy or requesting)
         self.going_live.tooltip = (
@@ -162,6 +167,7 @@ class MosaicForm:
     def _build_layout(self, work: QWidget) -> None:
         layout = panel_layout(self._panel)
         layout.addLayout(form_layout(self.recording, self.calibration, self.method, self.insertion))
+        layout.addWidget(self.finished.native)
         for row in (
             list(self.modes.values()),
             [self.start, self.going_live],

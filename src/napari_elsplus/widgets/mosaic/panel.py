@@ -12,14 +12,14 @@ from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
 from napari_elsplus.io.formats.tiff import TIFF
 from napari_elsplus.processing.compilation import compilation_remark
-from napari_elsplus.viewing.mosaic.files import mosaic_script, save_mosaics
+from napari_elsplus.viewing.mosaic.files import finished_script, mosaic_script, save_mosaics
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.viewing.mosaic.track import probe_speed
 from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
-from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
+from napari_elsplus.widgets.mosaic.sources import MosaicSource, is_uncalibrated, source_of
 from napari_elsplus.widgets.mosaic.status import mosaic_text, track_text
 from napari_elsplus.widgets.shared.choosing import chosen_image
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
@@ -79,6 +79,7 @@ class MosaicPanel(EnginePanel):
         )
         self._timer = timer(self, TICK_MS, self.tick)
         self._timer.start()
+        self.form.recording.changed.connect(self.refresh)
         layers = viewer.layers.events
         for signal in (layers.inserted, layers.removed, layers.renamed):
             self.connect_signal(signal, self._layers_changed)
@@ -104,7 +105,8 @@ class MosaicPanel(EnginePanel):
             _ = plan.tracked
             calibration = self.form.calibration.value
             path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
-            source = source_of(chosen, None if path is None else read_calibration(path), path)
+            given = None if path is None else read_calibration(path)
+            source = source_of(chosen, given, path, finished=bool(self.form.finished.value))
             plan = source.plan(plan)
             if isinstance(self._shown, LiveMosaicView) and not self._may_replace("The mosaic of the selected stack"):
                 return
@@ -235,7 +237,11 @@ class MosaicPanel(EnginePanel):
             facts = provenance_of(self._chosen().metadata)
             if facts.get("kind") != "raw":
                 raise InputError("these images are not a raw recording", "select a raw recording for a script")
-            copy_as_script(mosaic_script(facts["stack"], given or facts.get("calibration_path"), self.form.plan))
+            calibration = given or facts.get("calibration_path")
+            if calibration is None and self.form.finished.value and is_uncalibrated(self._chosen()):
+                copy_as_script(finished_script(facts["stack"], self.form.plan))
+            else:
+                copy_as_script(mosaic_script(facts["stack"], calibration, self.form.plan))
 
     def refresh(self) -> None:
         """Update status text and buttons."""

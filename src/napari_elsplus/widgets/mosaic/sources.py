@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import napari.viewer
+    from napari.layers import Layer
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
@@ -71,7 +72,7 @@ def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     return [layer.name for layer in sorted(usable, key=lambda layer: not _is_raw(layer))]
 
 
-def source_of(layer: Image, given: Calibration | None, path: Path | None) -> MosaicSource:
+def source_of(layer: Image, given: Calibration | None, path: Path | None, *, finished: bool = False) -> MosaicSource:
     """Return the source of a mosaic from a layer.
 
     Parameters
@@ -82,6 +83,8 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
         Selected by the user, replaces that of the layer.
     path : pathlib.Path, optional
         Its file.
+    finished : bool
+        What was opened as raw frames, and has no calibration, are finished images.
 
     Raises
     ------
@@ -89,12 +92,13 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
         If raw frames have no calibration, or the given one is for frames of another size.
     """
     facts, shape = provenance_of(layer.metadata), tuple(layer.data.shape)
-    raw = _is_raw(layer)
-    calibration = given or (facts.get("calibration") if raw else None)
+    calibration = given or (facts.get("calibration") if _is_raw(layer) else None)
+    raw = _is_raw(layer) and not (finished and calibration is None)
     if raw and calibration is None:
         raise InputError(
             f"{layer.name} has no calibration",
-            "select a calibration file above, drop one on the window and open the recording again, or calibrate",
+            "select a calibration file above, drop one on the window and open the recording again, or calibrate; if "
+            "another microscope made it, tick finished images",
         )
     frame = None if given is None else given.frame
     if frame is not None and tuple(frame.shape) != shape[1:]:
@@ -118,10 +122,16 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None) -> Mos
         return MosaicSource(frames, calibration, times_s, numbers)
     measured = str(layer.units[-1]) in ("micrometer", "um") and not adopted_axes(layer.metadata, layer.ndim)[-1]
     um = float(layer.scale[-1]) if measured else None
-    return MosaicSource(frames, calibration_of_finished_images(frames, um), times_s, None, layer.name)
+    title = stack.name if stack is not None and _is_raw(layer) else layer.name
+    return MosaicSource(frames, calibration_of_finished_images(frames, um), times_s, None, title)
 
 
-def _is_raw(layer: Image) -> bool:
+def is_uncalibrated(layer: Layer | None) -> bool:
+    """Return True for a layer that was opened as raw frames, and has no calibration."""
+    return layer is not None and _is_raw(layer) and not provenance_of(layer.metadata).get("calibration")
+
+
+def _is_raw(layer: Layer) -> bool:
     return provenance_of(layer.metadata).get("kind") == "raw"
 
 
