@@ -579,6 +579,21 @@ def test_a_recording_has_a_limit_is_described_and_opened(viewer, panel, qtbot, t
     assert any(layer.metadata["elsplus"]["path"] == path for layer in images(viewer))
 
 
+def test_live_images_return_by_one_click_after_a_recording_was_opened_while_they_stream(viewer, panel, qtbot):
+    """Before: they stayed hidden until the stream was stopped and started."""
+    panel.form.frames.value = 3
+    start(panel, qtbot)
+    panel.form.record.native.click()
+    qtbot.waitUntil(lambda: panel.form.opening.text == "Open it" and ended(panel), timeout=30_000)
+    qtbot.waitUntil(lambda: not panel.form.opening.native.isHidden(), timeout=30_000)
+    panel.form.opening.native.click()
+    assert panel.form.opening.text == "Show live images"
+    panel.form.opening.native.click()
+    live = ["live LS", "live ELS+", "live titles"]
+    qtbot.waitUntil(lambda: sorted(layer.name for layer in viewer.layers if layer.visible) == sorted(live))
+    qtbot.waitUntil(lambda: panel.form.opening.text == "Open it", timeout=30_000)
+
+
 def test_a_recording_that_is_opened_and_the_stream_take_each_others_place(viewer, panel, qtbot, said):
     panel.form.frames.value = 3
     start(panel, qtbot)

@@ -117,7 +117,7 @@ class LiveForm:
             tooltip="Include the last seconds before Record is pressed, 0 to 1.9 s",
         )
         self.lag, self.bar = lag_button(), RequestBar()
-        self.opening = PushButton(text="Open it", tooltip="Open the newest recording as layers", visible=False)
+        self.opening = PushButton(text="Open it", visible=False)
         self.status = text_label()
         self._remembered = {
             "side_by_side": self.side_by_side, "background": self.background, "flat_field": self.flat_field,
@@ -206,6 +206,24 @@ class LiveForm:
         why = "" if live else "; start the stream first"
         self.record.tooltip = f"Record raw frames and the calibration ({key_name('record')}){why}"
         self.snapping.tooltip = f"Save the newest raw frame and the calibration ({key_name('snap')}){why}"
+
+    def show_opening(self, *, recorded: bool, hidden: bool) -> None:
+        """Show the button that opens the newest recording, or displays live images again in its place.
+
+        Parameters
+        ----------
+        recorded : bool
+            There is a recording that has ended.
+        hidden : bool
+            Frames are streaming, and their images are hidden.
+        """
+        self.opening.visible = recorded or hidden
+        self.opening.text = "Show live images" if hidden else "Open it"
+        self.opening.tooltip = (
+            "Display the live images again, in place of what covers them"
+            if hidden
+            else "Open the newest recording as layers, in place of the live images"
+        )
 
     def _build_layout(self) -> None:
         layout = panel_layout(self._panel)

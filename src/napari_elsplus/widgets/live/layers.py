@@ -74,6 +74,11 @@ class LiveLayers:
         """Layers that are in the viewer, by kind."""
         return {kind: layer for kind, layer in self._layers.items() if layer in self._viewer.layers}
 
+    @property
+    def hidden(self) -> bool:
+        """True if there are images, and the user or a recording that was opened has hidden all of them."""
+        return bool(self.images) and not any(layer.visible for layer in self.images.values())
+
     def removed(self, kinds: Sequence[str]) -> list[str]:
         """Return those of some `kinds` whose layers were removed from the viewer since they were arranged."""
         present = self.images

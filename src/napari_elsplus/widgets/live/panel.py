@@ -63,7 +63,7 @@ class LivePanel(EnginePanel):
         self.form = LiveForm(self)
         self.form.connect({"live": self.toggle, "record": self.toggle_recording, "snap": self.snap}, self.change_view)
         self.form.contrast.changed.connect(self._contrast_chosen)
-        self.form.opening.clicked.connect(self.open_recorded)
+        self.form.opening.clicked.connect(self.open_or_return)
         self.form.lag.clicked.connect(self.measure_lag)
         self.form.script.clicked.connect(self.copy_script)
         self._timer = timer(self, TICK_MS, self.tick)
@@ -109,6 +109,15 @@ class LivePanel(EnginePanel):
         with notify_errors(self):
             path = self.form.next_path("snap")
             self.requests.follow(client.record(RecordingPlan(path, frames=1)), lambda _: show_info(f"saved {path}"))
+
+    def open_or_return(self) -> None:
+        """Open the newest recording; where the stream's images are hidden, display these again instead."""
+        if self._hidden:
+            self.layers.begin()
+            self._arranged = None
+        else:
+            self.open_recorded()
+        self.refresh()
 
     def open_recorded(self) -> None:
         """Open the newest recording as layers."""
@@ -159,7 +168,7 @@ class LivePanel(EnginePanel):
         calibration, file = self.connection.calibration, self.connection.calibration_file
         self.form.lag.visible = status is not None and not calibrating and bool(lag_advice(calibration))
         recorded = status is not None and status.recording is not None and not recording
-        self.form.opening.visible = recorded
+        self.form.show_opening(recorded=recorded, hidden=self._hidden)
         self.form.lag.enabled = not busy and not recording
         self.form.bar.show_state(status, busy=busy)
         text = status_text(status, calibration, self._display_hz, busy=busy, calibration_file=file)
@@ -211,6 +220,11 @@ class LivePanel(EnginePanel):
             self.layers.keep_contrast()
         else:
             self.rescale_contrast()
+
+    @property
+    def _hidden(self) -> bool:
+        """True while frames are streaming whose chosen images are hidden."""
+        return self.live and bool(self.form.chosen) and self.layers.hidden
 
     @property
     def _display_hz(self) -> float:
