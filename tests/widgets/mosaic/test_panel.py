@@ -154,6 +154,15 @@ def test_layers_keep_the_users_colours_and_are_used_again(viewer, panel, qtbot):
     assert mosaics(viewer) == OURS - {"mosaic LS", "mosaic ELSA"}
 
 
+def test_a_mosaic_whose_layer_was_removed_names_the_ways_that_are_left(viewer, panel, qtbot):
+    make(panel, qtbot)
+    assert "removed" not in panel.form.status.text()
+    viewer.layers.remove("mosaic ELS+")
+    assert "its layer was removed: press Save..." in panel.form.status.text()
+    panel.form.clearing.native.click()
+    assert "removed" not in panel.form.status.text()
+
+
 def test_stopping_keeps_what_was_laid_and_states_what_is_missing(viewer, panel, qtbot, monkeypatch):
     """Before: 12 of 12 frames were tracked, though the recording has more."""
     reached, stopped = Event(), Event()

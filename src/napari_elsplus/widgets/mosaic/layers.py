@@ -92,6 +92,12 @@ class MosaicLayers:
         return 0.0 if self._mosaics is None else self._images[self._lead].covered_px
 
     @property
+    def removed(self) -> bool:
+        """True if the user has removed the layer of the leading mode."""
+        kind = "" if self._mosaics is None else self._lead.value
+        return self._mosaics is not None and not self.own.is_new(kind) and kind not in self.own.present
+
+    @property
     def behind(self) -> bool:
         """True while layers are to be created, or rows of the track or the maps drawn: each update does some."""
         if self._mosaics is None or self.drawing is None:

@@ -43,6 +43,7 @@ TICK_MS: Final = 40
 WHOLE_TICKS: Final = 25
 """Ticks between updates of track, maps and thumbnails, which take longer: one second."""
 
+REMOVED: Final = "its layer was removed: press Save... and open the file, or Clear."
 HINT: Final = "select a stack and press Mosaic, or press Live mosaic."
 
 
@@ -343,6 +344,7 @@ class MosaicPanel(EnginePanel):
                 return compilation_remark(status.compiling).capitalize()
             return "Starting..." if self.work.busy or self.waiting else next_hint(HINT)
         text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px, busy=self.work.busy)
+        text += f"<br>{next_hint(REMOVED)}" if self.layers.removed else ""
         if status is None or not isinstance(self._shown, LiveMosaicView):
             return text
         return f"{text}{track_text(status, calibration)}"
