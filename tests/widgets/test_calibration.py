@@ -40,6 +40,7 @@ from napari_elsplus.widgets.calibration.panel import CalibrationPanel
 from napari_elsplus.widgets.shared.problems import problems
 from pairs import write_pair
 from processes import exists
+from small_rig import small_calibration
 
 PLUGIN = "napari-elsplus"
 LONG_MS = 60_000
@@ -82,6 +83,14 @@ def from_file(qtbot, panel, step, path, volts=None):
     panel.form.steps[step].click()
     panel.measure_file(path, volts)
     idle(qtbot, panel)
+
+
+def test_a_calibration_without_any_step_is_not_saved(panel, tmp_path):
+    """Before: an empty file became the active calibration, by which no recording can be sectioned."""
+    assert not panel.form.save.isEnabled()
+    assert "measure one, or load a calibration" in panel.form.save.toolTip()
+    panel.load(write_calibration(tmp_path / "cal.json", small_calibration()))
+    assert panel.form.save.isEnabled()
 
 
 def test_calibrated_by_clicking_the_simulated_rig_shows_a_scene_as_it_is(viewer, live, qtbot, said, tmp_path):

@@ -55,7 +55,7 @@ def test_a_recording_without_calibration_is_named_with_the_way_to_one(dock, qtbo
     drop(panel(dock, "Compare"), tmp_path / "mine.tif")
     for one in (panel(dock, "Compare"), panel(dock, "Quality"), axial):
         (hint,) = hints(one)
-        assert "give mine raw a calibration: make one in Calibration, or drop its file" in hint
+        assert "give mine raw a calibration: make and save one in Calibration, or drop its file" in hint
     drop(panel(dock, "Compare"), write_pair(tmp_path))
     assert "press Compare" in hints(panel(dock, "Compare"))[0]
 

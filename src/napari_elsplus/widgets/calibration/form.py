@@ -313,8 +313,8 @@ class Form:
         _allow(self.accept, nothing, "Accept the result into the calibration, and activate it")
         _allow(self.discard, nothing, "Discard the result; the calibration stays as it was")
         _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
-        _allow(self.save, "", "Write the calibration, for recordings that have none of their own")
         unmeasured = "" if present else "no step is there yet: measure one, or load a calibration"
+        _allow(self.save, unmeasured, "Write the calibration, for recordings that have none of their own")
         _allow(self.report, unmeasured, "Save a PDF with every number, fit, residual and picture, and the date")
         unplotted = "" if self.plots[0].curves else "nothing is plotted yet"
         _allow(self.save_plots, unplotted, "Save what is plotted as pictures (.png) or tables (.csv)")

@@ -69,8 +69,8 @@ class LayerChoice(ComboBox):
         if not bare:
             return f"open a recording with a calibration, or {SAMPLE}"
         return (
-            f"give {bare[-1]} a calibration: make one in Calibration, or drop its file on napari, then open the "
-            f"recording again; or open {SAMPLE}"
+            f"give {bare[-1]} a calibration: make and save one in Calibration, or drop its file on napari, then open "
+            f"the recording again; or open {SAMPLE}"
         )
 
     def refresh(self) -> None:
