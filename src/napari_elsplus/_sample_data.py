@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
-from threading import Lock
+from threading import Lock, current_thread, main_thread
 from typing import TYPE_CHECKING, Any, Final
 
 import napari
 import numpy as np
+from napari.utils import progress
+from napari.utils.notifications import show_info
+from qtpy.QtCore import QEventLoop
+from qtpy.QtWidgets import QApplication
 
 from napari_elsplus._view import fit_first_layers
 from napari_elsplus.instrument.optics import preset
+from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.axial import simulated_scan
 from napari_elsplus.viewing.layers import image_layers, raw_layer, side_by_side, titles_above
@@ -20,6 +26,8 @@ from napari_elsplus.viewing.stack import Stack
 from napari_elsplus.workflows.simulated import simulate_calibration, simulate_recording
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from napari_elsplus.simulation.rendering.frames import RenderedFrames
@@ -29,10 +37,38 @@ FRAMES: Final = 480
 """Frames of the sample recording: two seconds at 240 Hz."""
 SHOWN: Final = (Mode.LS, Mode.RESIDUAL, Mode.ELS)
 """Images of the sample recording that are displayed, from left to right."""
+COMPILING: Final = "compiling, once after an installation"
 SEED: Final = 1
 """Seed of specimen, motion and noise; chosen."""
 
 
+@contextmanager
+def compilation_displayed() -> Iterator[None]:
+    """Return a context in which the window names the kernels that are compiled, between which it is drawn.
+
+    napari makes samples in the window's thread, and the first one after an installation compiles for some seconds.
+    """
+    bars: list[Any] = []
+
+    def report(kernel: str) -> None:
+        if current_thread() is not main_thread() or QApplication.instance() is None:
+            return
+        if kernel and not bars:
+            show_info(COMPILING)
+            bars.append(progress(total=0))
+        if kernel:
+            bars[0].set_description(compilation_remark(kernel))
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+    try:
+        with reported_compilation(report):
+            yield
+    finally:
+        for bar in bars:
+            bar.close()
+
+
+@compilation_displayed()
 def recording() -> list[tuple[Any, ...]]:
     """Return layers of a probe moved by hand over fibres for two seconds: titles, raw, ELSA, LS, residual, ELS+."""
     fit_first_layers(napari.current_viewer())
@@ -45,6 +81,7 @@ def recording() -> list[tuple[Any, ...]]:
     return [titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed]
 
 
+@compilation_displayed()
 def calibration_set() -> list[tuple[Any, ...]]:
     """Return layers of calibration recordings: standing line, sweep with its voltages, transmission, background."""
     fit_first_layers(napari.current_viewer())
@@ -61,6 +98,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
     return layers
 
 
+@compilation_displayed()
 def axial_scan() -> list[tuple[Any, ...]]:
     """Return layers of an axial scan of a stained plate: raw, LS, residual, ELS+."""
     fit_first_layers(napari.current_viewer())
