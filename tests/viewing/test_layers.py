@@ -127,6 +127,8 @@ def test_a_calibration_without_a_bundle_says_what_it_holds(tmp_path):
     path = write_calibration(tmp_path / "c.json", calibration().model_copy(update={"bundle": None}))
     assert calibration_layers(path).layers == []
     assert summary(type(calibration())()) == "no measured section"
+    exact = type(calibration()).parse({"offset": {"rows": -12.034, "uncertainty_rows": 0.002}})
+    assert summary(exact) == "slit offset -12.034 ± 0.002 rows"
 
 
 def test_a_broken_calibration_is_refused(tmp_path):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.io import read_calibration
+from napari_elsplus.processing.calibration.summaries import with_uncertainty
 from napari_elsplus.viewing.layers import Opened
 from napari_elsplus.viewing.provenance import PROVENANCE
 from napari_elsplus.viewing.stack import space
@@ -87,7 +88,8 @@ def summary(calibration: Calibration) -> str:
     """
     parts = []
     if calibration.offset is not None:
-        parts.append(f"slit offset {calibration.offset.rows:.2f} ± {calibration.offset.uncertainty_rows:.2f} rows")
+        offset = with_uncertainty(calibration.offset.rows, calibration.offset.uncertainty_rows)
+        parts.append(f"slit offset {offset} rows")
     if calibration.bundle is not None:
         parts.append(f"bundle {calibration.bundle.diameter_px:.1f} px wide")
     if calibration.galvo is not None:
