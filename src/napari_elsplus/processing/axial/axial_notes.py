@@ -71,6 +71,13 @@ def _black_level_note(response: AxialResponse) -> str:
 
 
 def _contact_note(response: AxialResponse) -> str:
+    if response.pressed:
+        first_um = response.depth_um[0]
+        return (
+            f"warning: the signals do not change from {first_um:g} to {first_um + response.level_um:.3g} um, as those"
+            f" of a plate that is pressed: contact was taken to be {response.contact_um:g} um: count the depths from"
+            " contact"
+        )
     if not response.contact_assumed:
         return ""
     return (
@@ -107,7 +114,7 @@ def uncertainty_note(response: AxialResponse) -> str:
         return ""
     remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
     # Between depths far apart the bend of the curve counts as scatter, too: finer steps reduce both.
-    if least.uncertainty_um**2 < 2 * response.contact_uncertainty_um**2:
+    if least.uncertainty_um**2 < 2 * (least.per_contact * response.contact_uncertainty_um) ** 2:
         remedy = "contact lies between two depths: record at finer steps about it"
     elif least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
         depths = f"{least.depths} {'depth' if least.depths == 1 else 'depths'}"

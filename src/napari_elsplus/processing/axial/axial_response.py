@@ -7,15 +7,15 @@ contact measure the optical sectioning.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, log, sqrt
+from math import ceil, log
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial.black_level import black_level
 from napari_elsplus.processing.axial.bleaching import light_loss
+from napari_elsplus.processing.axial.contact import find_contact
 from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, DepthMeans, means_at_depths, noise_of_curve
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.axial.falling_curve import FallingCurve
@@ -43,6 +43,9 @@ MAX_BLEACHED: Final = 0.9
 would lower the uncertainty by a twentieth."""
 ASSUMED_LOSS: Final = 0.1
 """Light lost in a scan that shows none of it, whose effect is stated; chosen, a round number."""
+MAX_LEVEL: Final = 0.2
+"""Part of the ELS+ 3 dB distance over which signals may be level in contact; chosen: those behind a lens fall by less
+than noise over about a tenth."""
 _MIN_LIGHT: Final = 0.01
 """LS, share of that in contact, below which noise is not expected to fall further; chosen: the camera's own is left."""
 _MIN_SIGNAL_SIGMAS: Final = 3
@@ -58,9 +61,9 @@ class AxialResponse:
     depth_um : numpy.ndarray
         Depths (depths,) in increasing order, each once.
     contact_um : float
-        Depth at which the plate is in contact: that recorded one at which the confocal signal is largest.
+        Depth at which the plate is in contact, one of those recorded (`find_contact`).
     contact_uncertainty_um : float
-        Its standard deviation by the steps of the depths, part of that of each distance; 0 where contact is the first
+        Its standard deviation by steps and noise, part of that of each distance; 0 where contact is the first
         depth, at which it is known, or else assumed.
     ls, residual, els : numpy.ndarray
         Normalised curves: LS and residual over LS in contact, ELS+ over ELS+ in contact.
@@ -76,6 +79,8 @@ class AxialResponse:
     unseen_um : float
         By how much the ELS+ 10 dB distance, else that of 3 dB, is too short if `ASSUMED_LOSS` of the light was lost in
         the course of a scan that does not show it; 0 of one that does.
+    level_um : float
+        Distance from the first depth over which the signals do not change, as those of a plate that is pressed do not.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
@@ -94,6 +99,7 @@ class AxialResponse:
     signal_kept_uncertainty: float
     loss: LightLoss | None = None
     unseen_um: float = 0.0
+    level_um: float = 0.0
     black: BlackLevel | None = None
 
     @property
@@ -123,6 +129,11 @@ class AxialResponse:
     def contact_assumed(self) -> bool:
         """True if the signal falls from the first depth on, which is not given as 0: contact may lie before it."""
         return bool(self.contact_um == self.depth_um[0] != 0)
+
+    @property
+    def pressed(self) -> bool:
+        """True if the signals do not change over the first `MAX_LEVEL` of the ELS+ 3 dB distance."""
+        return bool(self.level_um > MAX_LEVEL * self.els_3db.um)
 
     @property
     def least_certain(self) -> DropOff:
@@ -204,8 +215,8 @@ def axial_response(
 
     Frames at the same depth are averaged. They also show what the plate has lost of its light in between, by bleaching,
     which is made up for where it is significant, each frame weighted by the square of the light left: record scans
-    there and back. Contact is the maximum of LS under unimodal regression; beyond it, drop-offs are taken from an
-    isotonic regression, so that noise does not end a curve too early.
+    there and back. Beyond contact (`find_contact`), drop-offs are taken from an isotonic regression, so that noise does
+    not end a curve too early.
 
     Parameters
     ----------
@@ -247,7 +258,8 @@ def axial_response(
     loss = light_loss(depths, signals[0])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     of_ls, of_residual, of_els = means = _means(depths, signals, gains)
-    contact = _peak(of_ls.mean)
+    found = find_contact(of_ls, of_els)
+    contact = found.place
     gain = float(np.average(gains, weights=gains**-2))
     zeros = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
     correlated_dn = systematic.gain * of_residual.mean[contact:]
@@ -276,13 +288,12 @@ def axial_response(
     if loss is not None:
         drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
     depth = of_ls.depth
-    step_um = float(depth[contact + 1] - depth[contact - 1]) / 2 if contact else 0.0
-    contact_uncertainty_um = step_um / sqrt(12)  # anywhere within half a step
-    drops = [drop.with_systematic(contact_uncertainty_um) for drop in drops]
+    drops = [drop.with_systematic(drop.per_contact * found.uncertainty_um) for drop in drops]
     return AxialResponse(
         depth_um=depth,
         contact_um=float(depth[contact]),
-        contact_uncertainty_um=contact_uncertainty_um,
+        contact_uncertainty_um=found.uncertainty_um,
+        level_um=found.level_um,
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,
@@ -335,13 +346,3 @@ def _checked(depths_um: ArrayLike, ls: ArrayLike, residual: ArrayLike) -> tuple[
     if (different := len(np.unique(depth))) < MIN_POINTS:
         raise InputError(f"the scan has {different} different depths", f"give at least {MIN_POINTS}")
     return depth, signals[0], signals[1]
-
-
-def _peak(signal: Curve) -> int:
-    """Return the index of the maximum under unimodal regression: least squares, rising before and falling after it."""
-    misfit = [
-        np.square(signal[: k + 1] - isotonic_regression(signal[: k + 1]).x).sum()
-        + np.square(signal[k:] - isotonic_regression(signal[k:], increasing=False).x).sum()
-        for k in range(len(signal))
-    ]
-    return int(np.argmin(misfit))

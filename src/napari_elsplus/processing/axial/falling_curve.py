@@ -28,6 +28,9 @@ _INTERPOLATION_ERROR: Final = 1 / 3
 """Standard deviation of an interpolated distance, part of the difference of straight lines through the shares and
 through their logarithms; measured: on eleven curves, the paper's two states among them, in steps of 5 to 50 um, errors
 are at most 0.6 of it, and half of them less than 0.06."""
+_FIRST_FALL: Final = 0.8
+"""Share of the signal in contact down to which its first decrease is measured; chosen: noise of 1 % changes it by a
+twentieth, and the curve hardly bends."""
 _ITERATIONS: Final = 3
 """Of the fit; chosen: the second changes the distance by less than a hundredth of its uncertainty."""
 
@@ -46,6 +49,9 @@ class DropOff:
         Part of it by interpolation between depths too far apart for a fit, which more depths reduce.
     depths : int
         Depths near the distance, of which a fit needs `MIN_FITTED`.
+    per_contact : float
+        Change of the distance with a displacement of contact, root mean square of both signs: the signal that the
+        level is a share of is then too small as well.
     """
 
     um: float
@@ -53,6 +59,7 @@ class DropOff:
     random_um: float = 0.0
     sampling_um: float = 0.0
     depths: int = 0
+    per_contact: float = 1.0
 
     def with_systematic(self, um: float) -> DropOff:
         """Return the distance with a further uncertainty, one standard deviation in micrometres (`um`)."""
@@ -121,7 +128,8 @@ class FallingCurve:
         distance_um = float(crossing.at_um - self._points.depth[0])
         uncertainty_um = float(np.linalg.norm([random_um, systematic_um, crossing.sampling_um]))
         depths = int(np.count_nonzero(self._near(about_um)))
-        return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths)
+        per_contact = float(np.hypot(1.0, self._first_slope / crossing.relative_slope))
+        return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths, per_contact)
 
     def _near(self, about_um: float) -> NDArray[np.bool_]:
         """Return the depths that are fitted about one, (depths,) bool."""
@@ -174,6 +182,13 @@ class FallingCurve:
         at = np.vander(inside, _DEGREE + 1)[0]
         variance = small_sample_factor(freedom) ** 2 * left / freedom * float(at @ curvature @ at)
         return _Crossing(about_um + inside[0] * reach_um, slope / reach_um, variance)
+
+    @property
+    def _first_slope(self) -> float:
+        """Mean decrease beyond contact, shares per micrometre, down to `_FIRST_FALL`."""
+        share = self._monotonic / self.contact
+        below = int(np.argmax(share < _FIRST_FALL))
+        return float((1 - share[below]) / (self._places[below] - self._places[0]))
 
     @property
     def _weight(self) -> float:
