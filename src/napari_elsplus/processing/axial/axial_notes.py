@@ -1,4 +1,4 @@
-"""Warnings and remedies of an axial response in words: bleaching, and drop-off distances that are uncertain."""
+"""Warnings and remedies of an axial response in words: contact, bleaching, uncertain drop-off distances."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 MAX_FRAMES_ADVISED: Final = 100
 """Multiple of the frames beyond which the cause of their scatter is to be removed instead; chosen: a scan of a minute
 would take hours."""
+MAX_DISPLACED: Final = 0.02
+"""Displacement of the plate between frames of one depth, part of the ELS+ 3 dB distance, from which it is noted;
+chosen: half of it is an error by `MAX_UNCERTAINTY`."""
 
 
 def axial_notes(response: AxialResponse) -> list[str]:
@@ -34,6 +37,7 @@ def axial_notes(response: AxialResponse) -> list[str]:
         _black_level_note(response),
         _contact_note(response),
         _bleaching_note(response),
+        _displacement_note(response),
         uncertainty_note(response),
     )
     return [line for line in notes if line]
@@ -99,6 +103,15 @@ def _bleaching_note(response: AxialResponse) -> str:
         return ""
     lost, sigma = 100 * response.loss.share, 100 * response.loss.share_uncertainty
     return f"warning: the light fell by {lost:.1f} +- {sigma:.1f} % in the course of the scan: corrected"
+
+
+def _displacement_note(response: AxialResponse) -> str:
+    if not response.displaced_um > MAX_DISPLACED * response.els_3db.um:
+        return ""
+    return (
+        f"warning: frames of one depth differ as if the plate had moved by {response.displaced_um:.2g} um in between,"
+        " by backlash of the stage or drift of the focus: approach each depth from the same side, when nothing drifts"
+    )
 
 
 def uncertainty_note(response: AxialResponse) -> str:

@@ -7,7 +7,7 @@ contact measure the optical sectioning.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, log
+from math import ceil, hypot, log
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -63,8 +63,8 @@ class AxialResponse:
     contact_um : float
         Depth at which the plate is in contact, one of those recorded (`find_contact`).
     contact_uncertainty_um : float
-        Its standard deviation by steps and noise, part of that of each distance; 0 where contact is the first
-        depth, at which it is known, or else assumed.
+        Its standard deviation by steps, noise and displacement, part of that of each distance; 0 where contact is the
+        first depth, at which it is known, or else assumed.
     ls, residual, els : numpy.ndarray
         Normalised curves: LS and residual over LS in contact, ELS+ over ELS+ in contact.
     ls_3db, ls_10db, els_3db, els_10db : DropOff
@@ -81,6 +81,8 @@ class AxialResponse:
         the course of a scan that does not show it; 0 of one that does.
     level_um : float
         Distance from the first depth over which the signals do not change, as those of a plate that is pressed do not.
+    displaced_um : float
+        By how much the plate's distance differs between frames of one depth, from the first frame to the last.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
@@ -100,6 +102,7 @@ class AxialResponse:
     loss: LightLoss | None = None
     unseen_um: float = 0.0
     level_um: float = 0.0
+    displaced_um: float = 0.0
     black: BlackLevel | None = None
 
     @property
@@ -255,7 +258,7 @@ def axial_response(
         black = black_level(dark, *signals)
         signals = [signals[0] - black.dn, signals[1] - black.dn / dark.residual_gain]
         systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
-    loss = light_loss(depths, signals[0])
+    loss = light_loss(depths, signals[0], signals[0] - signals[1])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     of_ls, of_residual, of_els = means = _means(depths, signals, gains)
     found = find_contact(of_ls, of_els)
@@ -288,12 +291,15 @@ def axial_response(
     if loss is not None:
         drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
     depth = of_ls.depth
-    drops = [drop.with_systematic(drop.per_contact * found.uncertainty_um) for drop in drops]
+    displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / ls_fall.first_slope
+    contact_uncertainty_um = hypot(found.uncertainty_um, displaced_um / 2)  # the mean of first and last frames
+    drops = [drop.with_systematic(drop.per_contact * contact_uncertainty_um) for drop in drops]
     return AxialResponse(
         depth_um=depth,
         contact_um=float(depth[contact]),
-        contact_uncertainty_um=found.uncertainty_um,
+        contact_uncertainty_um=contact_uncertainty_um,
         level_um=found.level_um,
+        displaced_um=displaced_um,
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,

@@ -1,7 +1,9 @@
 """Loss of a specimen's light in the course of a scan of depths, from depths that were recorded more than once.
 
 A scan there and back, or one that returns to a reference depth, shows the same depth early and late: what the light has
-lost in between is bleaching, or drift of the laser, and no sectioning.
+lost in between is bleaching, or drift of the laser, and no sectioning. Both dim LS and ELS+ alike. A plate whose
+distance differs between frames of one depth, by backlash of the stage or drift of the focus, dims ELS+ otherwise than
+LS, by which it is noticed.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ MIN_SIGNAL: Final = 0.1
 """Of the largest signal, below which frames are left out; chosen: the error of the background then counts more."""
 MIN_FREEDOM: Final = 3
 """Degrees of freedom below which no loss is stated; chosen: fewer repeated frames do not show their own scatter."""
+MIN_BY_LIGHT: Final = 2.0
+"""Loss over what the plate's distance explains of it, below which it is not corrected; chosen: most of it is light."""
 MIN_LOSS_SIGMAS: Final = 4.0
 """Standard deviations below which no loss is corrected; chosen: with three degrees of freedom 3 % exceed them."""
 
@@ -29,21 +33,29 @@ class LightLoss(NamedTuple):
     Parameters
     ----------
     per_frame : float
-        Rate of the exponential loss, relative, per frame.
-    uncertainty : float
-        One standard deviation of the rate.
+        Rate of the exponential loss of LS, relative, per frame.
+    scatter : float
+        One standard deviation of the rate by the scatter of repeated frames.
     frames : int
         Frames of the scan.
+    by_distance : float
+        Part of the rate that a plate whose distance differs between frames of one depth explains, magnitude.
     """
 
     per_frame: float
-    uncertainty: float
+    scatter: float
     frames: int
+    by_distance: float = 0.0
+
+    @property
+    def uncertainty(self) -> float:
+        """One standard deviation of the rate."""
+        return float(np.hypot(self.scatter, self.by_distance))
 
     @property
     def significant(self) -> bool:
-        """True if it stands out of the scatter of repeated frames, and is corrected."""
-        return abs(self.per_frame) > MIN_LOSS_SIGMAS * self.uncertainty
+        """True if it stands out of the scatter of repeated frames, is light for the most part, and is corrected."""
+        return abs(self.per_frame) > max(MIN_LOSS_SIGMAS * self.scatter, MIN_BY_LIGHT * self.by_distance)
 
     @property
     def share(self) -> float:
@@ -62,10 +74,10 @@ class LightLoss(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Error of the rate, relative, per frame: its uncertainty, or what of it exceeds that and is not corrected."""
+        """Error of the rate, relative, per frame: its uncertainty; the excess over scatter of one not corrected."""
         if self.significant:
             return self.uncertainty
-        return float(np.sqrt(max(self.per_frame**2 - self.uncertainty**2, 0.0)))
+        return float(np.sqrt(max(self.per_frame**2 - self.scatter**2, 0.0)))
 
     @property
     def _corrected(self) -> float:
@@ -76,28 +88,50 @@ class LightLoss(NamedTuple):
         return np.asarray(np.exp(self._corrected * np.arange(self.frames)), np.float64)
 
 
-def light_loss(depths_um: Curve, signal: Curve) -> LightLoss | None:
+def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
     """Return the loss of light in a scan; None where too few depths were recorded more than once.
 
     Parameters
     ----------
     depths_um : numpy.ndarray
         (T,) depth of each frame, in the order of recording.
-    signal : numpy.ndarray
-        (T,) grey levels, without their background.
+    ls, els : numpy.ndarray
+        (T,) signals in grey levels, without their background.
 
     Examples
     --------
     >>> depths = np.r_[np.arange(0.0, 40, 4), np.arange(36.0, -1, -4)]
-    >>> loss = light_loss(depths, 0.99 ** np.arange(20) / (1 + depths / 30))
-    >>> round(loss.share, 3)
-    0.174
+    >>> ls, els = 1 / (1 + depths / 60), 1 / (1 + (depths / 30) ** 2)
+    >>> light = 0.99 ** np.arange(20)
+    >>> loss = light_loss(depths, light * ls, light * els)
+    >>> round(loss.share, 3), round(loss.by_distance, 6)
+    (0.174, 0.0)
     """
-    depths, signal = np.asarray(depths_um, np.float64), np.asarray(signal, np.float64)
-    bright = np.flatnonzero(signal > MIN_SIGNAL * signal.max(initial=0.0))
-    _, place, count = np.unique(depths[bright], return_inverse=True, return_counts=True)
+    depths, ls, els = (np.asarray(values, np.float64) for values in (depths_um, ls, els))
+    bright = np.flatnonzero(ls > MIN_SIGNAL * ls.max(initial=0.0))
+    loss = _rate(depths, np.log(ls[bright]), bright)
+    if loss is None:
+        return None
+    both = np.flatnonzero((ls > MIN_SIGNAL * ls.max()) & (els > MIN_SIGNAL * els.max()))
+    kept = np.log(els[both] / ls[both])
+    of_kept = _rate(depths, kept, both)
+    if of_kept is None:
+        return LightLoss(*loss, len(depths))
+    # By how much LS falls with depth where the share kept falls by a given part: the same for a displaced plate.
+    fall = kept - kept.mean()
+    ls_per_kept = float(fall @ np.log(ls[both]) / max(fall @ fall, np.finfo(float).tiny))
+    beyond_scatter = float(np.sqrt(max(of_kept[0] ** 2 - of_kept[1] ** 2, 0.0)))
+    return LightLoss(*loss, len(depths), abs(ls_per_kept) * beyond_scatter)
+
+
+def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float, float] | None:
+    """Return the rate at which a logarithm falls per frame at the same depth, with its standard deviation by scatter.
+
+    None of too few frames that repeat a depth.
+    """
+    _, place, count = np.unique(depths[frames], return_inverse=True, return_counts=True)
     again = count[place] > 1
-    frame, place, level = bright[again].astype(np.float64), place[again], np.log(signal[bright[again]])
+    frame, place, level = frames[again].astype(np.float64), place[again], level[again]
     freedom = len(frame) - len(np.unique(place)) - 1
     if freedom < MIN_FREEDOM:
         return None
@@ -105,7 +139,7 @@ def light_loss(depths_um: Curve, signal: Curve) -> LightLoss | None:
     spread = float(elapsed @ elapsed)
     rate = -float(elapsed @ fallen) / spread
     left = fallen + rate * elapsed
-    return LightLoss(rate, float(np.sqrt(left @ left / freedom / spread)), len(depths))
+    return rate, float(np.sqrt(left @ left / freedom / spread))
 
 
 def _mean_of_group(values: Curve, group: NDArray[np.intp]) -> Curve:

@@ -104,6 +104,13 @@ class FallingCurve:
         self._contact_weight = float(points.weight[: last[0]].sum())
         self.noise, self._relative = noise_of_curve(points.depth, points.mean)
 
+    @property
+    def first_slope(self) -> float:
+        """Mean decrease beyond contact, shares per micrometre, down to `_FIRST_FALL`."""
+        share = self._monotonic / self.contact
+        below = int(np.argmax(share < _FIRST_FALL))
+        return float((1 - share[below]) / (self._places[below] - self._places[0]))
+
     def drop(self, level: float) -> DropOff:
         """Return the distance at which the curve falls to a level.
 
@@ -128,7 +135,7 @@ class FallingCurve:
         distance_um = float(crossing.at_um - self._points.depth[0])
         uncertainty_um = float(np.linalg.norm([random_um, systematic_um, crossing.sampling_um]))
         depths = int(np.count_nonzero(self._near(about_um)))
-        per_contact = float(np.hypot(1.0, self._first_slope / crossing.relative_slope))
+        per_contact = float(np.hypot(1.0, self.first_slope / crossing.relative_slope))
         return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths, per_contact)
 
     def _near(self, about_um: float) -> NDArray[np.bool_]:
@@ -182,13 +189,6 @@ class FallingCurve:
         at = np.vander(inside, _DEGREE + 1)[0]
         variance = small_sample_factor(freedom) ** 2 * left / freedom * float(at @ curvature @ at)
         return _Crossing(about_um + inside[0] * reach_um, slope / reach_um, variance)
-
-    @property
-    def _first_slope(self) -> float:
-        """Mean decrease beyond contact, shares per micrometre, down to `_FIRST_FALL`."""
-        share = self._monotonic / self.contact
-        below = int(np.argmax(share < _FIRST_FALL))
-        return float((1 - share[below]) / (self._places[below] - self._places[0]))
 
     @property
     def _weight(self) -> float:
