@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.axial.black_level import DarkLevels
+    from napari_elsplus.processing.axial.tilt import SquareHalves
     from napari_elsplus.processing.progress import ProgressWrapper
 
 MANUAL_SCAN: Final = "manual"
@@ -87,6 +88,8 @@ class ManualScan:
     """Uncertainty common to all depths, from the two darkest successive frames."""
     dark: DarkLevels | None = None
     """Level of the pixels beside the views in each frame."""
+    halves: SquareHalves | None = None
+    """Light of the measured square's halves in each frame."""
     _last: NDArray[Any] | None = None
 
     def take(self, frame: NDArray[Any], calibration: Calibration, depth_um: float) -> None:
@@ -109,10 +112,13 @@ class ManualScan:
             If the measured square does not fit into the bundle, or is saturated.
         """
         frames = [frame] if self._last is None else [frame, self._last]
-        ls, residual, systematic, dark = axial_profiles(frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]])
+        ls, residual, systematic, dark, halves = axial_profiles(
+            frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]]
+        )
         if self.systematic is None or ls.sum() <= min(map(sum, pairwise(self.ls)), default=np.inf):
             self.systematic = systematic
         self.dark = dark.first_after(self.dark)
+        self.halves = halves.first_after(self.halves)
         self._last = np.array(frame)
         self.depth_um.append(float(depth_um))
         self.ls.append(float(ls[0]))
@@ -134,7 +140,7 @@ class ManualScan:
             If there is no signal in contact.
         """
         systematic = self.systematic or SystematicUncertainty()
-        response = axial_response(self.depth_um, self.ls, self.residual, systematic, self.dark)
+        response = axial_response(self.depth_um, self.ls, self.residual, systematic, self.dark, self.halves)
         return Scan(f"{MANUAL_SCAN}, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 

@@ -38,6 +38,7 @@ def axial_notes(response: AxialResponse) -> list[str]:
         _contact_note(response),
         _bleaching_note(response),
         _displacement_note(response),
+        _tilt_note(response),
         uncertainty_note(response),
     )
     return [line for line in notes if line]
@@ -114,6 +115,17 @@ def _displacement_note(response: AxialResponse) -> str:
     )
 
 
+def _tilt_note(response: AxialResponse) -> str:
+    tilt = response.tilt
+    if tilt is None or response.gap_share <= MAX_UNCERTAINTY:
+        return ""
+    return (
+        f"warning: the plate is tilted by {tilt.degrees:.2g} +- {tilt.uncertainty_deg:.1g} degrees, or uneven: where the"
+        f" bundle's rim touches it, {tilt.gap_um:.2g} um are left in the middle, and distances differ by up to"
+        f" {100 * response.gap_share:.0f} %: level the plate"
+    )
+
+
 def uncertainty_note(response: AxialResponse) -> str:
     """Return the warning that ELS+ distances are uncertain, with the remedy; empty if they are not.
 
@@ -126,8 +138,14 @@ def uncertainty_note(response: AxialResponse) -> str:
     if advised == 1 and response.uncertainty <= MAX_UNCERTAINTY:
         return ""
     remedy = "calibrate with a sweep of more voltages: the residual view's gain is uncertain"
+    contact_um = least.per_contact * response.contact_uncertainty_um
+    gap_um = 0.0 if response.tilt is None else least.per_gap * response.tilt.gap_um
     # Between depths far apart the bend of the curve counts as scatter, too: finer steps reduce both.
-    if least.uncertainty_um**2 < 2 * (least.per_contact * response.contact_uncertainty_um) ** 2:
+    if least.uncertainty_um**2 < 2 * gap_um**2:
+        remedy = "level the plate"
+    elif response.contact_uncertainty_um**2 < 2 * (response.displaced_um / 2) ** 2 and contact_um > least.random_um:
+        remedy = "approach each depth from the same side"
+    elif least.uncertainty_um**2 < 2 * contact_um**2:
         remedy = "contact lies between two depths: record at finer steps about it"
     elif least.sampling_um > (0.0 if advised <= MAX_FRAMES_ADVISED else least.random_um):
         depths = f"{least.depths} {'depth' if least.depths == 1 else 'depths'}"

@@ -19,12 +19,14 @@ from napari_elsplus.processing.axial.contact import find_contact
 from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, DepthMeans, means_at_depths, noise_of_curve
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.axial.falling_curve import FallingCurve
+from napari_elsplus.processing.axial.tilt import Tilt, plate_tilt
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from napari_elsplus.processing.axial.black_level import BlackLevel, DarkLevels
     from napari_elsplus.processing.axial.bleaching import LightLoss
+    from napari_elsplus.processing.axial.tilt import SquareHalves
 
     Curve = NDArray[np.float64]
 
@@ -83,6 +85,8 @@ class AxialResponse:
         Distance from the first depth over which the signals do not change, as those of a plate that is pressed do not.
     displaced_um : float
         By how much the plate's distance differs between frames of one depth, from the first frame to the last.
+    tilt : Tilt, optional
+        Of the plate; what a gap in the middle changes is part of the uncertainties. None where it is not measured.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
@@ -103,6 +107,7 @@ class AxialResponse:
     unseen_um: float = 0.0
     level_um: float = 0.0
     displaced_um: float = 0.0
+    tilt: Tilt | None = None
     black: BlackLevel | None = None
 
     @property
@@ -132,6 +137,13 @@ class AxialResponse:
     def contact_assumed(self) -> bool:
         """True if the signal falls from the first depth on, which is not given as 0: contact may lie before it."""
         return bool(self.contact_um == self.depth_um[0] != 0)
+
+    @property
+    def gap_share(self) -> float:
+        """Largest part of a distance that a gap in the middle of a tilted plate changes."""
+        gap_um = 0.0 if self.tilt is None else self.tilt.gap_um
+        drops = (self.ls_3db, self.ls_10db, self.els_3db, self.els_10db)
+        return max((drop.per_gap * gap_um / drop.um for drop in drops if drop.um > 0), default=0.0)
 
     @property
     def pressed(self) -> bool:
@@ -171,6 +183,8 @@ class AxialResponse:
             "contact_uncertainty_um": self.contact_uncertainty_um,
             "light_lost": None if self.loss is None else self.loss.share,
             "light_lost_uncertainty": None if self.loss is None else self.loss.share_uncertainty,
+            "tilt_deg": None if self.tilt is None else self.tilt.degrees,
+            "tilt_uncertainty_deg": None if self.tilt is None else self.tilt.uncertainty_deg,
             "black_level_subtracted_dn": 0.0 if self.black is None else self.black.dn,
             "depth_um": self.depth_um.tolist(),
             "profiles": {"ls": self.ls.tolist(), "residual": self.residual.tolist(), "els": self.els.tolist()},
@@ -213,6 +227,7 @@ def axial_response(
     residual: ArrayLike,
     systematic: SystematicUncertainty = _NO_SYSTEMATIC,
     dark: DarkLevels | None = None,
+    halves: SquareHalves | None = None,
 ) -> AxialResponse:
     """Estimate drop-off distances and kept signal from signals against depth.
 
@@ -231,6 +246,8 @@ def axial_response(
         Uncertainties common to all depths; they add to those of the distances.
     dark : DarkLevels, optional
         Level of the pixels beside the views, by which a black level that is left in the signals is subtracted.
+    halves : SquareHalves, optional
+        Light of the measured square's halves, by which a tilt of the plate is known.
 
     Returns
     -------
@@ -291,6 +308,9 @@ def axial_response(
     if loss is not None:
         drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
     depth = of_ls.depth
+    tilt = None if halves is None else plate_tilt(depths, halves, ls_fall)
+    if tilt is not None:
+        drops = [drop.with_systematic(drop.per_gap * tilt.gap_um) for drop in drops]
     displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / ls_fall.first_slope
     contact_uncertainty_um = hypot(found.uncertainty_um, displaced_um / 2)  # the mean of first and last frames
     drops = [drop.with_systematic(drop.per_contact * contact_uncertainty_um) for drop in drops]
@@ -300,6 +320,7 @@ def axial_response(
         contact_uncertainty_um=contact_uncertainty_um,
         level_um=found.level_um,
         displaced_um=displaced_um,
+        tilt=tilt,
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,

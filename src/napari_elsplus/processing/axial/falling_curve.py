@@ -13,6 +13,8 @@ from napari_elsplus.processing.analysis.uncertainty import small_sample_factor
 from napari_elsplus.processing.axial.curve_noise import NEAR, DepthMeans, noise_of_curve, pooled_variance
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Curve = NDArray[np.float64]
@@ -49,9 +51,9 @@ class DropOff:
         Part of it by interpolation between depths too far apart for a fit, which more depths reduce.
     depths : int
         Depths near the distance, of which a fit needs `MIN_FITTED`.
-    per_contact : float
-        Change of the distance with a displacement of contact, root mean square of both signs: the signal that the
-        level is a share of is then too small as well.
+    slopes : float
+        Slope of the curve beyond contact over that at the distance, relative to the signal there: by it a displacement
+        of contact counts, as the signal that the level is a share of is then too small as well.
     """
 
     um: float
@@ -59,11 +61,24 @@ class DropOff:
     random_um: float = 0.0
     sampling_um: float = 0.0
     depths: int = 0
-    per_contact: float = 1.0
+    slopes: float = 0.0
 
     def with_systematic(self, um: float) -> DropOff:
         """Return the distance with a further uncertainty, one standard deviation in micrometres (`um`)."""
         return replace(self, uncertainty_um=float(np.hypot(self.uncertainty_um, um)))
+
+    @property
+    def per_contact(self) -> float:
+        """Change of the distance with a displacement of contact of either sign, root mean square."""
+        return float(np.hypot(1.0, self.slopes))
+
+    @property
+    def per_gap(self) -> float:
+        """Change of the distance with a gap at the contact that was recorded, root mean square.
+
+        The curve may be level in the gap, which is not recorded, or as steep as beyond it.
+        """
+        return float(np.hypot(self.slopes - 1.0, self.slopes / 2))
 
     @property
     def max_step_um(self) -> float:
@@ -111,6 +126,18 @@ class FallingCurve:
         below = int(np.argmax(share < _FIRST_FALL))
         return float((1 - share[below]) / (self._places[below] - self._places[0]))
 
+    def depths_at(self, levels: Sequence[float]) -> Curve:
+        """Return the depths at which the curve reaches descending shares of the signal in contact.
+
+        Parameters
+        ----------
+        levels : sequence of float
+            From 1 on; those that the scan does not reach are left out.
+        """
+        share = self._monotonic / self.contact
+        reached = [level for level in levels if level >= share[-1]]
+        return np.asarray(np.interp(np.negative(reached), -share, self._places), np.float64)
+
     def drop(self, level: float) -> DropOff:
         """Return the distance at which the curve falls to a level.
 
@@ -135,8 +162,8 @@ class FallingCurve:
         distance_um = float(crossing.at_um - self._points.depth[0])
         uncertainty_um = float(np.linalg.norm([random_um, systematic_um, crossing.sampling_um]))
         depths = int(np.count_nonzero(self._near(about_um)))
-        per_contact = float(np.hypot(1.0, self.first_slope / crossing.relative_slope))
-        return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths, per_contact)
+        slopes = self.first_slope / abs(crossing.relative_slope)
+        return DropOff(distance_um, uncertainty_um, random_um, crossing.sampling_um, depths, slopes)
 
     def _near(self, about_um: float) -> NDArray[np.bool_]:
         """Return the depths that are fitted about one, (depths,) bool."""

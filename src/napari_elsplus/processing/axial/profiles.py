@@ -13,6 +13,7 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.axial.axial_response import SystematicUncertainty
 from napari_elsplus.processing.axial.black_level import DarkLevels, DarkPixels
 from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
+from napari_elsplus.processing.axial.tilt import SquareHalves
 from napari_elsplus.processing.calibration.frame_regions import saturated_share
 from napari_elsplus.processing.images.sectioning import Frames, Sectioner
 
@@ -43,12 +44,15 @@ class AxialProfiles(NamedTuple):
         Uncertainties common to all depths.
     dark : DarkLevels
         Level of the pixels beside the views, by which a black level that is left in the signals is known.
+    halves : SquareHalves
+        Light of the square's halves, by which a tilt of the plate is known.
     """
 
     ls: Curve
     residual: Curve
     systematic: SystematicUncertainty
     dark: DarkLevels
+    halves: SquareHalves
 
 
 def axial_profiles(
@@ -98,12 +102,14 @@ def axial_profiles(
     squares = (_square(bundle.confocal_centre, half), _square(bundle.residual_centre, half))
     dark = DarkPixels(calibration, frames[0].shape)
     ls, residual, saturated, dark_dn = np.empty((4, len(frames)))
+    asymmetry = np.empty((len(frames), 2))
     image = np.empty((sectioner.side, sectioner.side), np.float32)
     for k in progress(range(len(frames))):
         frame = frames[k]
-        ls[k] = sectioner.ls(frame, image)[inside, inside].mean()
+        square = sectioner.ls(frame, image)[inside, inside]
+        ls[k], asymmetry[k] = square.mean(), _asymmetry(square)
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
-        saturated[k] = max(saturated_share(frame[square], "scan", limit=1.0) for square in squares)
+        saturated[k] = max(saturated_share(frame[each], "scan", limit=1.0) for each in squares)
         dark_dn[k] = dark.level_dn(frame) if dark.enough else 0.0
     _refuse_saturated(saturated, depths_um)
     darkest = _darkest(frames, ls)
@@ -119,7 +125,19 @@ def axial_profiles(
             gain,
             calibration.background is not None,
         ),
+        SquareHalves(asymmetry, SQUARE_UM / 2, diameter_um / 2),
     )
+
+
+def _asymmetry(square: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the light of the lower half less that of the upper, and of the right less the left, over the sum."""
+    half = len(square) // 2
+    total = float(square.sum())
+    if not total:
+        return 0.0, 0.0
+    upper, left = (float(part.sum(dtype=np.float64)) for part in (square[:half], square[:, :half]))
+    lower, right = (float(part.sum(dtype=np.float64)) for part in (square[-half:], square[:, -half:]))
+    return (lower - upper) / total, (right - left) / total
 
 
 def _square(centre: tuple[float, float], half: float) -> tuple[slice, ...]:
