@@ -36,6 +36,7 @@ def axial_notes(response: AxialResponse) -> list[str]:
     notes = (
         _black_level_note(response),
         _contact_note(response),
+        _rise_note(response),
         _bleaching_note(response),
         _displacement_note(response),
         _tilt_note(response),
@@ -91,6 +92,16 @@ def _contact_note(response: AxialResponse) -> str:
     )
 
 
+def _rise_note(response: AxialResponse) -> str:
+    rise = response.rise
+    if rise is None:
+        return ""
+    return (
+        f"warning: the signal rises again beyond contact, from {rise.from_um:g} to {rise.to_um:g} um: distances beyond"
+        " are not those of one plane: use a plate with nothing behind it, in light that does not change"
+    )
+
+
 def _bleaching_note(response: AxialResponse) -> str:
     if response.loss is None:
         level = "10 dB" if np.isfinite(response.els_10db.um) else "3 dB"
@@ -120,8 +131,8 @@ def _tilt_note(response: AxialResponse) -> str:
     if tilt is None or response.gap_share <= MAX_UNCERTAINTY:
         return ""
     return (
-        f"warning: the plate is tilted by {tilt.degrees:.2g} +- {tilt.uncertainty_deg:.1g} degrees, or uneven: where the"
-        f" bundle's rim touches it, {tilt.gap_um:.2g} um are left in the middle, and distances differ by up to"
+        f"warning: the plate is tilted by {tilt.degrees:.2g} +- {tilt.uncertainty_deg:.1g} degrees, or uneven: where"
+        f" the bundle's rim touches it, {tilt.gap_um:.2g} um are left in the middle, and distances differ by up to"
         f" {100 * response.gap_share:.0f} %: level the plate"
     )
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.axial.black_level import BlackLevel, DarkLevels
     from napari_elsplus.processing.axial.bleaching import LightLoss
+    from napari_elsplus.processing.axial.falling_curve import Rise
     from napari_elsplus.processing.axial.tilt import SquareHalves
 
     Curve = NDArray[np.float64]
@@ -86,7 +87,9 @@ class AxialResponse:
     displaced_um : float
         By how much the plate's distance differs between frames of one depth, from the first frame to the last.
     tilt : Tilt, optional
-        Of the plate; what a gap in the middle changes is part of the uncertainties. None where it is not measured.
+        Of the plate; what the gap in the middle changes is part of the uncertainties. None where it is not measured.
+    rise : Rise, optional
+        Depths between which the signal rises again beyond contact, as that of a second plane; None where it does not.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
     """
@@ -108,6 +111,7 @@ class AxialResponse:
     level_um: float = 0.0
     displaced_um: float = 0.0
     tilt: Tilt | None = None
+    rise: Rise | None = None
     black: BlackLevel | None = None
 
     @property
@@ -311,6 +315,10 @@ def axial_response(
     tilt = None if halves is None else plate_tilt(depths, halves, ls_fall)
     if tilt is not None:
         drops = [drop.with_systematic(drop.per_gap * tilt.gap_um) for drop in drops]
+    rise = els_fall.rise or ls_fall.rise
+    if rise is not None:  # distances beyond it are not those of one plane
+        beyond_um = [max(float(of_ls.depth[contact]) + drop.um - rise.from_um, 0.0) for drop in drops]
+        drops = [drop.with_systematic(um) for drop, um in zip(drops, beyond_um, strict=True)]
     displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / ls_fall.first_slope
     contact_uncertainty_um = hypot(found.uncertainty_um, displaced_um / 2)  # the mean of first and last frames
     drops = [drop.with_systematic(drop.per_contact * contact_uncertainty_um) for drop in drops]
@@ -321,6 +329,7 @@ def axial_response(
         level_um=found.level_um,
         displaced_um=displaced_um,
         tilt=tilt,
+        rise=rise,
         ls=of_ls.mean / ls_fall.contact,
         residual=of_residual.mean / ls_fall.contact,
         els=of_els.mean / els_fall.contact,

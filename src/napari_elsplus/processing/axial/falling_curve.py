@@ -33,6 +33,10 @@ are at most 0.6 of it, and half of them less than 0.06."""
 _FIRST_FALL: Final = 0.8
 """Share of the signal in contact down to which its first decrease is measured; chosen: noise of 1 % changes it by a
 twentieth, and the curve hardly bends."""
+_RISE_SIGMAS: Final = 5.0
+"""Standard deviations by which a signal rises again; chosen: noise does so in none of thousands of depths."""
+_MIN_RISE: Final = 0.05
+"""Share of the signal in contact by which it rises again; chosen: half of the lower level."""
 _ITERATIONS: Final = 3
 """Of the fit; chosen: the second changes the distance by less than a hundredth of its uncertainty."""
 
@@ -95,6 +99,13 @@ class _Crossing(NamedTuple):
     sampling_um: float = 0.0
 
 
+class Rise(NamedTuple):
+    """Depths from which and up to which a signal rises again beyond contact, as that of a second plane."""
+
+    from_um: float
+    to_um: float
+
+
 class FallingCurve:
     """Curve that decreases from its first point, in contact.
 
@@ -118,6 +129,18 @@ class FallingCurve:
         self.contact = float(self._monotonic[0])
         self._contact_weight = float(points.weight[: last[0]].sum())
         self.noise, self._relative = noise_of_curve(points.depth, points.mean)
+        self.rise = self._rise()
+
+    def _rise(self) -> Rise | None:
+        """Return where the signal rises again beyond contact by more than noise; None if it does not."""
+        mean = self._points.mean
+        rise = mean - np.minimum.accumulate(mean)
+        noise = np.sqrt(2 * (self.noise**2 + np.square(self._relative * mean)))
+        risen = np.where((rise > _RISE_SIGMAS * noise) & (rise > _MIN_RISE * self.contact), rise, 0.0)
+        if not risen.any():
+            return None
+        top = int(np.argmax(risen))
+        return Rise(float(self._points.depth[np.argmin(mean[:top])]), float(self._points.depth[top]))
 
     @property
     def first_slope(self) -> float:
