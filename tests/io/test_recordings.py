@@ -440,6 +440,8 @@ def write_bad(folder, name):
             path.write_text("not a recording")
         case "rgb.tif":
             tifffile.imwrite(path, np.zeros((3, 40, 60, 3), np.uint8))
+        case "white.tif":
+            tifffile.imwrite(path, whole, photometric="miniswhite")
         case "planes.tif":
             tifffile.imwrite(path, np.zeros((3, 40, 60), np.uint8), photometric="rgb", metadata=None)
         case "cut-planes.tif":
@@ -512,6 +514,7 @@ def test_a_cut_tiff_written_frame_by_frame_is_refused(tmp_path):
         "text.npy": "cannot be read",
         "text": "is in no known format",
         "rgb.tif": "colour",
+        "white.tif": "white as 0",
         "planes.tif": "colour",
         "cut-planes.tif": "truncated",
         "rgb.npy": r"shape \(3, 40, 60, 3\)",

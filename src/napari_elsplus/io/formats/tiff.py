@@ -68,6 +68,8 @@ class PagedTiff(FrameSource):
             raise InputError(
                 f"{path.name} is a colour image ({page.samplesperpixel} samples per pixel)", "save it as grey levels"
             )
+        if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+            raise InputError(f"{path.name} is stored with white as 0 (WhiteIsZero)", "save it with black as 0")
         if len(series) > 1:
             shapes = ", ".join(str(one.shape) for one in series[:3])
             raise InputError(f"{path.name} holds {len(series)} image series {shapes}", "save one stack per file")
