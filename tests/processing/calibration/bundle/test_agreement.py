@@ -153,6 +153,17 @@ def test_a_background_that_frames_cannot_hold_is_refused() -> None:
         section(frames("nuclei"), with_background(70), "els")
 
 
+@pytest.mark.parametrize(("light", "noted"), [(0.0, False), (0.3, False), (3.0, True)])
+def test_a_background_with_more_light_than_the_frames_is_warned_of(light: float, noted: bool) -> None:
+    """One of the lit specimen, or of another exposure: images were negative, and nothing was said."""
+    known = true_calibration(INSTRUMENT)
+    assert known.bundle is not None
+    mean = np.mean(frames("nuclei"), axis=0) - INSTRUMENT.black_dn
+    level = np.minimum(INSTRUMENT.black_dn + light * mean, 250).astype(np.float32)
+    wrong = known.model_copy(update={"background": level})
+    assert ("measure its background again" in grey_level_note(frames("nuclei"), wrong)) == noted
+
+
 SATURATED = r"^\d+\.\d % of the pixels are saturated: lower the laser power or the gain"
 
 

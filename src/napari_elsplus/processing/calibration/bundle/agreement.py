@@ -51,6 +51,9 @@ depth or black level; derived: bit depths of cameras differ by two bits or more,
 2."""
 MIN_LEVEL_DIFFERENCE: Final = 2.0
 """Grey levels by which they differ at least; chosen: where black is nearly 0, a ratio is one of noise."""
+MIN_LIGHT_RATIO: Final = 0.75
+"""Light of the views in frames over that in the background, below which the background is not one of these frames;
+chosen: a laser's power, and the light of the bundle itself, change by less."""
 MIN_COMPARED_PIXELS: Final = 100
 """Beside the views, below which their level is not known; chosen."""
 LIT_PERCENTILE: Final = 25
@@ -143,7 +146,7 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
 
 
 def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
-    """Return the message on another bit depth by some pixels of frames of the background's shape."""
+    """Return the message on another bit depth or light by some pixels of frames of the background's shape."""
     bundle, background, dtype = calibration.bundle, calibration.background, some[0].dtype
     if bundle is None or background is None:
         return ""
@@ -161,7 +164,15 @@ def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> s
     if np.percentile(seen[~beside], LIT_PERCENTILE) <= level:
         return ""
     if max(level, expected) <= MAX_LEVEL_RATIO * min(level, expected) + MIN_LEVEL_DIFFERENCE:
-        return ""
+        lit, lit_background = (
+            float(np.median(each[~beside])) for each in (seen - level, background[_COMPARED] - expected)
+        )
+        if lit_background <= MIN_LEVEL_DIFFERENCE or lit >= MIN_LIGHT_RATIO * lit_background:
+            return ""
+        return (
+            f"the views have {lit:.3g} grey levels of light in the frames, {lit_background:.3g} in the background of"
+            " the calibration, as of another exposure, or with the specimen lit: measure its background again"
+        )
     problem = (
         f"beside the views the frames have grey level {level:.3g}, the background of the calibration {expected:.3g}, "
         "as of another bit depth or black level"
