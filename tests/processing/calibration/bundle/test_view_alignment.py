@@ -99,6 +99,14 @@ def test_views_of_different_bundles_are_refused() -> None:
         aligned(RIG, image)
 
 
+def test_a_mirrored_view_is_refused_with_its_cause() -> None:
+    image, middle = RIG.bundle()[0].copy(), round(RIG.right[1])
+    view = np.s_[:, middle - 100 : middle + 101]
+    image[view] = image[view][:, ::-1].copy()
+    with pytest.raises(MeasurementError, match=r"do not show the same cores .* neither view mirrored"):
+        aligned(RIG, image)
+
+
 def defocused(rig: Rig) -> np.ndarray:
     """Return the frame of a rig whose residual view shows no cores."""
     image = rig.bundle()[0].astype(np.float32)

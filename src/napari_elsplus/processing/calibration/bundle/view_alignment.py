@@ -351,7 +351,7 @@ def _require_same_cores(correlation: float, distorted: DistortionMatcher, near: 
 def _other_cores(correlation: float) -> DifferentCoresError:
     return DifferentCoresError(
         f"the two views do not show the same cores (correlation {correlation:.2f})",
-        "is the bundle in focus in both, and the light bright enough?",
+        "is the bundle in focus in both, the light bright enough, and neither view mirrored?",
     )
 
 
