@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.processing.analysis.saturation import saturated_part
 from napari_elsplus.processing.axial.axial_response import SystematicUncertainty
 from napari_elsplus.processing.axial.black_level import DarkLevels, DarkPixels
 from napari_elsplus.processing.axial.rounding import pixel_noise_dn, rounding_bias_dn
 from napari_elsplus.processing.axial.tilt import SquareHalves
-from napari_elsplus.processing.calibration.frame_regions import saturated_share
 from napari_elsplus.processing.images.sectioning import Frames, Sectioner
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def axial_profiles(
         square = sectioner.ls(frame, image)[inside, inside]
         ls[k], asymmetry[k] = square.mean(), _asymmetry(square)
         residual[k] = sectioner.residual(frame, image)[inside, inside].mean()
-        saturated[k] = max(saturated_share(frame[each], "scan", limit=1.0) for each in squares)
+        saturated[k] = max(saturated_part(frame[each]) for each in squares)
         dark_dn[k] = dark.level_dn(frame) if dark.enough else 0.0
     _refuse_saturated(saturated, depths_um)
     darkest = _darkest(frames, ls)
