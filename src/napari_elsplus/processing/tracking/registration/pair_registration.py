@@ -279,17 +279,17 @@ class Registrar:
         halves, sums = self._halves(earlier, later), self._tools.sums
         starts = self._searched(earlier, later, motion)
         links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
-        best, found = links[0], [link for link in links if link.correlation > 0]
-        for link in found:
-            if not best.correlation > 0 or log_odds_between(halves, link.warp, best.warp, motion, sums) > 0:
+        found = [link for link in links if link.correlation > 0] or links[:1]
+        best = found[0]
+        for link in found[1:]:
+            if log_odds_between(halves, link.warp, best.warp, motion, sums) > 0:
                 best = link
-        return best._replace(
-            odds=min(
-                log_odds_between(halves, best.warp, link.warp, motion, sums) if link is not best else best.odds
-                for link in (best, *found)
-                if link is best or hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
-            )
+        others = (
+            log_odds_between(halves, best.warp, link.warp, motion, sums)
+            for link in found
+            if hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
         )
+        return best._replace(odds=min([best.odds, *others]))
 
     def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> list[Warp]:
         """Return the expected warp at the most likely of all shifts, and at those that may be as likely."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import cv2
 import numpy as np
 
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
@@ -36,6 +37,7 @@ _HIDDEN: Final = 0.1
 both directions, a sine of 13 px has a third of its correlation."""
 LIKE_AT_HALF: Final = 0.6
 """The same at half resolution."""
+_NEIGHBOURS: Final = np.ones((3, 3), np.uint8)
 
 
 class EveryShift:
@@ -116,19 +118,18 @@ class ShiftSearch(MaskedCorrelation):
         best = int(np.argmax(score))
         if not (highest := float(score.flat[best])) > 0:
             return [self._shift(best)]
-        cells = np.append(best, np.flatnonzero(score > _HIDDEN * share * highest))
+        highest_near = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), _NEIGHBOURS)[1:-1, 1:-1]
+        cells = np.append(best, np.flatnonzero((score >= highest_near) & (score > _HIDDEN * share * highest)))
         rows, cols = np.unravel_index(cells, score.shape)
         size = len(score)
-        around = [((rows + i) % size, (cols + k) % size) for i in (-1, 0, 1) for k in (-1, 0, 1)]
-        peak = score[rows, cols] >= np.max([score[cell] for cell in around], axis=0)
         middle = alike[rows, cols]
         between = middle.copy()
-        for before, after in ((1, 7), (3, 5)):  # between the shifts that were searched, by parabolas
-            left, right = alike[around[before]], alike[around[after]]
+        for row, col in ((1, 0), (0, 1)):  # between the shifts that were searched, by parabolas
+            left, right = alike[rows - row, cols - col], alike[(rows + row) % size, (cols + col) % size]
             bend = np.maximum(2 * middle - left - right, np.float32(1e-6))
             between += np.where((middle >= left) & (middle >= right), (right - left) ** 2 / (8 * bend), 0)
         nats = prior[rows, cols] + self._nats(between, self.overlap[rows, cols])
-        like = np.flatnonzero(peak & (nats > share * nats[0]) & (cells != best))
+        like = np.flatnonzero((nats > share * nats[0]) & (cells != best))
         like = like[np.argsort(-nats[like])][:MAX_PEAKS]
         return [self._shift(cell) for cell in (best, *cells[like].tolist())]
 
