@@ -313,13 +313,17 @@ class Tracker:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
         first = turn is None and not self._motion.known and self.registrar.registers_warps
+        least = self._min_correlation
         for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
-            least = 0.0 if first else self._min_correlation
             link = self.registrar.register(earlier.view, here.view, motion, least, anywhere=anywhere, turn=turn)
+            if first and link is not None and link.at_half < least:  # unrelated, or turned: the rest costs more
+                found = self.registrar.remainder(earlier.view, here.view, link.warp, motion.spread)
+                if found is not None and found.may_turn:
+                    link = self.registrar.register(earlier.view, here.view, motion, start=link.warp)
             if link is None or link.odds < min_odds_nats:
                 continue
             link = (self._turned_much(earlier, here, link, motion) if first else None) or link
-            if not link.at_half < self._min_correlation:
+            if not link.at_half < least:
                 return link
         return None
 
@@ -331,8 +335,7 @@ class Tracker:
         if found is None or selected_model([found]) is MotionModel.TRANSLATION:
             return None
         apart = here.period - earlier.period
-        for angle in (-float(found.step[-1]), -_LARGE_TURN, _LARGE_TURN):
-            turn = Turn(angle, frames_apart=apart)
+        for turn in (Turn(angle, frames_apart=apart) for angle in (-float(found.step[-1]), -_LARGE_TURN, _LARGE_TURN)):
             again = self.registrar.register(earlier.view, here.view, motion, anywhere=True, turn=turn)
             if again is not None and again.observed and again.tells_turn:
                 if selected_model([found._replace(step=np.full(5, again.turn), sigma=again.turn_sigma)]):

@@ -278,6 +278,13 @@ def test_a_rotation_that_sets_in_within_a_frame_shows_in_the_uncertainty() -> No
     assert (error / stated).max() < 3
 
 
+def test_a_probe_whose_rotation_sets_in_fast_is_found_again() -> None:
+    """Its frames are hardly more alike than unrelated ones, which end at half resolution."""
+    turning = Turning(HandHeld(1500.0, seed=2), 4.0 * INSTRUMENT.optics.frame_rate_hz)
+    pipeline, _, _ = followed(SetsIn(turning, 12.3 * INSTRUMENT.optics.frame_period_s), "nuclei", 30)
+    assert sum(row.state == "tracked" for row in pipeline.rows) > 15
+
+
 def test_a_probe_that_does_not_turn_is_tracked_as_before() -> None:
     pipeline, _, _ = followed(HandHeld(3000.0, seed=2), "fibres", 30)
     assert {pose.angle for pose in pipeline.poses} == {0.0}

@@ -50,6 +50,9 @@ _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
 """Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
 _MOST_ALIKE: Final = 0.95
+_SUSPICIOUS_SIGMAS: Final = 2.0
+"""Rotation over its standard deviation from which it is looked into; chosen: turned frames that are hardly alike have
+2.7 and more."""
 
 
 class MotionModel(IntEnum):
@@ -78,6 +81,11 @@ class Remainder(NamedTuple):
     step: Matrix
     sigma: float
     values: float
+
+    @property
+    def may_turn(self) -> bool:
+        """Return True if a rotation is not improbable: it is larger than chance alone usually makes it."""
+        return bool(abs(self.step[-1]) > _SUSPICIOUS_SIGMAS * self.sigma)
 
 
 def turned_by(angle: float) -> Matrix:

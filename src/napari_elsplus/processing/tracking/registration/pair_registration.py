@@ -234,7 +234,7 @@ class Registrar:
 
     def register(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float = 0.0,
-        *, anywhere: bool = False, turn: Turn | None = None,
+        *, anywhere: bool = False, turn: Turn | None = None, start: Warp | None = None,
     ) -> PairRegistration | None:  # fmt: skip
         """Register two frames; None where nothing was found.
 
@@ -252,12 +252,14 @@ class Registrar:
             True to start from the best of all shifts, False to start from the expected warp.
         turn : Turn, optional
             Rotation that is expected, if the later frame may be rotated against the earlier one; none by default.
+        start : Warp, optional
+            Where to start instead of the expected warp.
         """
         if turn is not None:
             return self._turned(earlier, later, motion, turn, anywhere=anywhere)
         if anywhere:
             return self._likeliest(earlier, later, motion, min_correlation)
-        return self._refined(earlier, later, motion, None, min_correlation)
+        return self._refined(earlier, later, motion, start, min_correlation)
 
     def _refined(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, start: Warp | None = None,
