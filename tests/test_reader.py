@@ -59,6 +59,17 @@ def test_what_is_opened_first_fills_the_canvas_above_a_scale_bar_and_what_follow
     assert (camera.center, camera.zoom, bar.visible) == (*view, False)
 
 
+def test_a_view_that_a_script_sets_after_opening_stays(make_napari_viewer_proxy, tmp_path, qtbot):
+    """Before: layers that were opened were fitted a moment later, whatever the script had done by then."""
+    viewer = make_napari_viewer_proxy()
+    camera, bar = viewer.scene.camera, viewer.canvas.overlays.scale_bar
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    camera.zoom = 3 * camera.zoom
+    view = camera.center, camera.zoom
+    qtbot.waitUntil(lambda: bar.visible)
+    assert (camera.center, camera.zoom) == view
+
+
 def test_raw_frames_of_unknown_scale_have_no_scale_bar(make_napari_viewer_proxy, tmp_path, qtbot):
     viewer = make_napari_viewer_proxy()
     tifffile.imwrite(tmp_path / "bare.tif", frames())

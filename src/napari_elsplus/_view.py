@@ -46,16 +46,19 @@ def fit_first_layers(viewer: napari.viewer.Viewer | None) -> None:
     Parameters
     ----------
     viewer : napari.Viewer or None
-        Displays two dimensions, else its view is left as it is. The scale bar is shown where the scale is known.
+        Displays two dimensions, else its view is left as it is, as it is where a script has set it meanwhile. The scale
+        bar is shown where the scale is known.
     """
     if viewer is None or len(viewer.layers):
         return
+    opened_with: list[object] = []
     settled = QTimer()
     settled.setSingleShot(True)
     settled.setInterval(SETTLED_MS)
     seen, inserted = weakref.ref(viewer), viewer.layers.events.inserted
 
     def restart(_: Any) -> None:
+        opened_with[:] = _view_of(seen())
         settled.start()
 
     def fit() -> None:
@@ -63,9 +66,15 @@ def fit_first_layers(viewer: napari.viewer.Viewer | None) -> None:
         opened = seen()
         if opened is None or not len(opened.layers) or opened.dims.ndisplay != 2:
             return
-        fit_visible_layers(opened)
+        if _view_of(opened) == opened_with:
+            fit_visible_layers(opened)
         if all(PIXEL not in map(str, layer.units[-2:]) for layer in opened.layers):
             opened.canvas.overlays.scale_bar.visible = True
 
     settled.timeout.connect(fit)
-    inserted.connect(restart)
+    inserted.connect(restart, position="last")  # after napari's own reset of the view
+
+
+def _view_of(viewer: napari.viewer.Viewer | None) -> list[object]:
+    """Return centre and zoom of a viewer's camera."""
+    return [] if viewer is None else [tuple(viewer.scene.camera.center), viewer.scene.camera.zoom]

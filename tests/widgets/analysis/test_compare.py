@@ -264,6 +264,7 @@ def test_scripts_plots_and_themes(viewer, panel, tmp_path, qtbot):
 
 def test_closing_the_dock_ends_the_comparison_and_leaves_nothing(viewer, tmp_path, qtbot):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    qtbot.waitUntil(lambda: viewer.canvas.overlays.scale_bar.visible)  # fitted to the canvas
     before = state(viewer)
     dock, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
     assert isinstance(panel, ComparePanel)
