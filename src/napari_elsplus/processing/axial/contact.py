@@ -110,7 +110,8 @@ def _bounds(curve: DepthMeans) -> _Bounds:
     """Return where a curve may be largest."""
     near = np.flatnonzero(curve.mean > _NEAR * curve.mean.max())
     if len(near) < MIN_POINTS:
-        return _Bounds(*(int(np.argmax(curve.mean)),) * 2, 0.0)
+        top = int(np.argmax(curve.mean))
+        return _Bounds(top, top, 0.0)
     near = np.arange(near[0], near[-1] + 1)
     depth, signal = curve.depth[near], curve.mean[near] / curve.mean.max()
     noise = max(noise_of_curve(depth, np.log(np.maximum(signal, _FLOOR)))[0], _FLOOR)

@@ -334,12 +334,12 @@ class Tracker:
         found = self.registrar.remainder(earlier.view, here.view, link.warp, motion.spread)
         if found is None or selected_model([found]) is MotionModel.TRANSLATION:
             return None
-        apart = here.period - earlier.period
-        for turn in (Turn(angle, frames_apart=apart) for angle in (-float(found.step[-1]), -_LARGE_TURN, _LARGE_TURN)):
-            again = self.registrar.register(earlier.view, here.view, motion, anywhere=True, turn=turn)
+        for angle in (-float(found.step[-1]), -_LARGE_TURN, _LARGE_TURN):
+            expected = Turn(angle, frames_apart=here.period - earlier.period)
+            again = self.registrar.register(earlier.view, here.view, motion, anywhere=True, turn=expected)
             if again is not None and again.observed and again.tells_turn:
                 if selected_model([found._replace(step=np.full(5, again.turn), sigma=again.turn_sigma)]):
-                    self._selection.model, self._turning.rate = MotionModel.RIGID, again.turn / apart
+                    self._selection.model, self._turning.rate = MotionModel.RIGID, again.turn / expected.frames_apart
                     return again
                 break
         return None

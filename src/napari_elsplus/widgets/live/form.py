@@ -181,7 +181,7 @@ class LiveForm:
         buttons = dict(zip(slots, (self.start, self.record, self.snapping), strict=True))
         for name, button in buttons.items():
             button.clicked.connect(slots[name])
-        bind_buttons(self._panel, buttons, self._panel.refresh)
+        bind_buttons(self._panel, buttons)
         for choice in (self.background, self.flat_field, self.row_reference, self.cores, self.average):
             choice.changed.connect(view)
         for box in (*self.kinds.values(), self.side_by_side):

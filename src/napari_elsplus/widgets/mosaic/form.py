@@ -11,9 +11,9 @@ from napari_elsplus.io.settings import remember
 from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
-from napari_elsplus.widgets.mosaic.sources import is_uncalibrated, source_names
+from napari_elsplus.widgets.mosaic.sources import source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
-from napari_elsplus.widgets.shared.choosing import LayerChoice
+from napari_elsplus.widgets.shared.choosing import LayerChoice, is_uncalibrated
 from napari_elsplus.widgets.shared.panel import (
     button_row,
     form_layout,
@@ -123,7 +123,7 @@ class MosaicForm:
         }  # fmt: skip
         for name, slot in slots.items():
             buttons[name].clicked.connect(slot)
-        bind_buttons(self._panel, buttons, self._panel.refresh)
+        bind_buttons(self._panel, buttons)
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 

@@ -19,9 +19,9 @@ from napari_elsplus.viewing.mosaic.track import probe_speed
 from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.widgets.mosaic.form import MosaicForm
 from napari_elsplus.widgets.mosaic.layers import MosaicLayers
-from napari_elsplus.widgets.mosaic.sources import MosaicSource, is_uncalibrated, source_of
+from napari_elsplus.widgets.mosaic.sources import MosaicSource, source_of
 from napari_elsplus.widgets.mosaic.status import mosaic_text, track_text
-from napari_elsplus.widgets.shared.choosing import chosen_image
+from napari_elsplus.widgets.shared.choosing import chosen_image, is_uncalibrated
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer

@@ -13,6 +13,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.provenance import provenance_of
+from napari_elsplus.widgets.shared.choosing import is_raw
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import napari.viewer
-    from napari.layers import Layer
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
@@ -69,7 +69,7 @@ class MosaicSource:
 def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""
     usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
-    return [layer.name for layer in sorted(usable, key=lambda layer: not _is_raw(layer))]
+    return [layer.name for layer in sorted(usable, key=lambda layer: not is_raw(layer))]
 
 
 def source_of(layer: Image, given: Calibration | None, path: Path | None, *, finished: bool = False) -> MosaicSource:
@@ -92,8 +92,8 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None, *, fin
         If raw frames have no calibration, or the given one is for frames of another size.
     """
     facts, shape = provenance_of(layer.metadata), tuple(layer.data.shape)
-    calibration = given or (facts.get("calibration") if _is_raw(layer) else None)
-    raw = _is_raw(layer) and not (finished and calibration is None)
+    calibration = given or (facts.get("calibration") if is_raw(layer) else None)
+    raw = is_raw(layer) and not (finished and calibration is None)
     if raw and calibration is None:
         raise InputError(
             f"{layer.name} has no calibration",
@@ -122,21 +122,12 @@ def source_of(layer: Image, given: Calibration | None, path: Path | None, *, fin
         return MosaicSource(frames, calibration, times_s, numbers)
     measured = str(layer.units[-1]) in ("micrometer", "um") and not adopted_axes(layer.metadata, layer.ndim)[-1]
     um = float(layer.scale[-1]) if measured else None
-    title = stack.name if stack is not None and _is_raw(layer) else layer.name
+    title = stack.name if stack is not None and is_raw(layer) else layer.name
     return MosaicSource(frames, calibration_of_finished_images(frames, um), times_s, None, title)
-
-
-def is_uncalibrated(layer: Layer | None) -> bool:
-    """Return True for a layer that was opened as raw frames, and has no calibration."""
-    return layer is not None and _is_raw(layer) and not provenance_of(layer.metadata).get("calibration")
-
-
-def _is_raw(layer: Layer) -> bool:
-    return provenance_of(layer.metadata).get("kind") == "raw"
 
 
 def _usable(layer: Image) -> bool:
     """Return True for a stack of grey levels that was not derived from a raw layer."""
     stack = provenance_of(layer.metadata).get("stack")
-    derived = stack is not None and not _is_raw(layer) and stack.planes.dtype.kind != "f"
+    derived = stack is not None and not is_raw(layer) and stack.planes.dtype.kind != "f"
     return layer.ndim == 3 and not layer.rgb and not layer.multiscale and not derived

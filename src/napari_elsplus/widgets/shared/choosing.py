@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from magicgui.widgets import ComboBox
@@ -17,7 +17,7 @@ LIVE: Final = "live"
 SAMPLE: Final = "a sample: File > Open Sample > ELS+ endomicroscopy"
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
     import napari.viewer
@@ -61,11 +61,7 @@ class LayerChoice(ComboBox):
     @property
     def remedy(self) -> str:
         """What the user has to do where no recording with a calibration can be chosen."""
-        bare = [
-            name
-            for name, facts in _noted(self._viewer).items()
-            if facts.get("kind") == RAW and not facts.get("calibration")
-        ]
+        bare = [layer.name for layer in self._viewer.layers if is_uncalibrated(layer)]
         if not bare:
             return f"open a recording with a calibration, or {SAMPLE}"
         return (
@@ -99,12 +95,18 @@ def calibrated_frames(viewer: napari.viewer.Viewer) -> list[str]:
 
 
 def _calibrated(viewer: napari.viewer.Viewer, kind: str) -> list[str]:
-    noted = _noted(viewer).items()
-    return [name for name, facts in noted if facts.get("kind") == kind and facts.get("calibration")]
+    noted = {layer.name: provenance_of(layer.metadata) for layer in viewer.layers}
+    return [name for name, facts in noted.items() if facts.get("kind") == kind and facts.get("calibration")]
 
 
-def _noted(viewer: napari.viewer.Viewer) -> dict[str, Mapping[str, Any]]:
-    return {layer.name: provenance_of(layer.metadata) for layer in viewer.layers}
+def is_raw(layer: Layer) -> bool:
+    """Return True for a layer that was opened as raw frames."""
+    return provenance_of(layer.metadata).get("kind") == RAW
+
+
+def is_uncalibrated(layer: Layer | None) -> bool:
+    """Return True for a layer that was opened as raw frames, and has no calibration."""
+    return layer is not None and is_raw(layer) and not provenance_of(layer.metadata).get("calibration")
 
 
 def shown_index(viewer: napari.viewer.Viewer, layer: Image) -> int:

@@ -270,9 +270,8 @@ class Registrar:
         a, b, s, d, correlation, overlap, odds, row, col, variance, at_half = _register(
             earlier.arrays, later.arrays, motion, start or Warp(), start is None, min_correlation, tools, information
         )
-        velocity = Velocity(row, col)
-        link = PairRegistration(Warp(a, b, s, d), information, correlation, overlap, odds, velocity, variance)
-        return link._replace(at_half=at_half)
+        warp, velocity = Warp(a, b, s, d), Velocity(row, col)
+        return PairRegistration(warp, information, correlation, overlap, odds, velocity, variance, at_half=at_half)
 
     def _likeliest(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float

@@ -134,11 +134,12 @@ def register(
     stages = first + 1 if begins_at_half else first, end
     correlation, count, warp = descend(earlier, later, stages, True, expected, terms, warp, information, tools)
     nats, at_half = -np.inf, correlation
-    if at_half > max(min_correlation, 0.0) and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
+    alike_enough = at_half > max(min_correlation, 0.0)
+    if alike_enough and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
         correlation, count, warp = descend(earlier, later, _SHARP, True, expected, terms, warp, information, tools)
         nats = _odds_against_unrelated(correlation, count)
-    elif at_half > max(min_correlation, 0.0):
+    elif alike_enough:
         # noise is more than that: all that is lit, without what is smooth
         pyramid.high_pass(earlier, tools.pyramid)
         pyramid.high_pass(later, tools.pyramid)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from magicgui.widgets import PushButton
     from qtpy.QtWidgets import QMainWindow, QWidget
 
+    from napari_elsplus.widgets.shared.engine_panel import EnginePanel
+
 KEYS: Final = {
     "live": "Ctrl+Return",
     "record": "Ctrl+Shift+R",
@@ -60,22 +62,20 @@ def bind_keys(panel: QWidget, slots: Mapping[str, Callable[[], Any]]) -> None:
     when_docked(panel, widen)
 
 
-def bind_buttons(panel: QWidget, buttons: Mapping[str, PushButton], refresh: Callable[[], Any]) -> None:
+def bind_buttons(panel: EnginePanel, buttons: Mapping[str, PushButton]) -> None:
     """Bind keys that press buttons: nothing is done while a button is disabled, as by the mouse.
 
     Parameters
     ----------
-    panel : QWidget
-        As of :func:`bind_keys`.
+    panel : EnginePanel
+        As of :func:`bind_keys`; refreshed before, which enables and disables the buttons. It is not kept alive.
     buttons : mapping of str to magicgui.widgets.PushButton
         By action, a name in `KEYS`.
-    refresh : callable
-        Method that enables and disables them by the present state; it is not kept alive.
     """
-    kept = WeakMethod(refresh)
+    refresh = WeakMethod(panel.refresh)
 
     def press(button: PushButton) -> None:
-        if (enable := kept()) is not None:
+        if (enable := refresh()) is not None:
             enable()
         button.native.click()
 
