@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from math import isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
 
 from benchmarks.rigs.simulated import simulated_rig
+from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
-from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, settle
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.simulation.specimen.scenes import fibres, picture
@@ -296,15 +297,16 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
     for image in recording.images:
         tracker.slot()[:] = image
         poses.append(tracker.add())
-    links = borne_out(poses, tracker.links)
-    poses = settle(poses, links)
+    poses, links = completed(poses, tracker, recording.images.__getitem__)
+    backwards = {link[:2] for link in links} - {link[:2] for link in tracker.links}
     true, errors, normalised = recording.positions, [], []
     right, avoidable = set(), 0
     for earlier, later, moved, *_ in links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
-        if poses[later].state is TrackingState.TRACKED:  # one that waited for the next has no standard deviation
-            normalised.append(float(np.hypot(*miss)) / max(poses[later].sigma, 1e-6))
+        sigma = poses[earlier].sigma if (earlier, later) in backwards else poses[later].sigma
+        if not isnan(sigma):  # one that waited for the next has no standard deviation
+            normalised.append(float(np.hypot(*miss)) / max(sigma, 1e-6))
         if later == earlier + 1 and errors[-1] <= WRONG_PX:
             right.add(earlier)
         avoidable += errors[-1] > WRONG_PX and bool(recording.countable[earlier:later].all())

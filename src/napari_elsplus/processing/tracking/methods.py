@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
+from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
-from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, refine
+from napari_elsplus.processing.tracking.pose_graph.refinement import refine
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, selected_model
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.registration.shutter_timing import (
@@ -211,21 +212,21 @@ class RegistrationTracking(FrontEndImages):
 
         Unchanged where shifts alone are registered, without odds by which a graph could weigh them.
         """
-        registrar, links, model = self._tracker.registrar, self._tracker.links, self._tracker.model
+        tracker, registrar, model = self._tracker, self._tracker.registrar, self._tracker.model
         if not registrar.registers_warps:
             return poses
         frame = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES)
         if model is MotionModel.TRANSLATION:
-            model = reviewed_model(links, registrar, frame)
+            model = reviewed_model(tracker.links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
-            rates = (link.registration.turn / link.periods for link in links if link.registration.turn)
-            again, lost = Tracker(registrar.grid, registrar, next(rates, 0.0)), self._tracker.lost
-            links = again.links
+            rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
+            lost, tracker = tracker.lost, Tracker(registrar.grid, registrar, next(rates, 0.0))
             for index in range(len(poses)):
-                again.skip(lost.get(index, 0))
-                again.slot()[:] = image(index)
-                poses[index] = again.add()
-        return refine(poses, borne_out(poses, links), PoseGraph(NodeRegistration(registrar), frame), model)
+                tracker.skip(lost.get(index, 0))
+                tracker.slot()[:] = image(index)
+                poses[index] = tracker.add()
+        poses, links = completed(poses, tracker, image)
+        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), model)
 
 
 def prepared_frames(

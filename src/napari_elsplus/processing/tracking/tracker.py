@@ -107,23 +107,25 @@ class Tracker:
         self._slots = [self.registrar.view() for _ in range(4)]
         self._selection = ModelSelection(MotionModel.TRANSLATION if turn_rate is None else MotionModel.RIGID)
         self._newest: PairRegistration | None = None
-        self._tested = 0
-        self._began = self._covered = 0
+        self._tested = self._began = self._covered = 0
         self._turned = 0.0
         self._turning = Turning(turn_rate or 0.0)
         self._motion = Motion(grid.shutter, FIELD * grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
-        self._usual = nan
-        self._variance, self._fell = 0.0, False
+        self._usual, self._variance, self._fell = nan, 0.0, False
         self._start: _Start | None = None
-        self._segment = 0
-        self._frames = self._periods = 0
+        self._segment = self._frames = self._periods = 0
         self._coming = self._free()
 
     @property
     def model(self) -> MotionModel:
         """Motion model selected so far, beside translations."""
         return self._selection.model
+
+    @property
+    def turn_rate(self) -> float | None:
+        """Rotation of the probe, radians per frame; None as long as none is modelled."""
+        return None if self.model is MotionModel.TRANSLATION else self._turning.rate
 
     def slot(self) -> NDArray[np.float32]:
         """Return the array into which the next image is to be written before :meth:`add` is called."""
@@ -266,10 +268,8 @@ class Tracker:
         patient = here.period - last.period <= PATIENCE_FRAMES
         if not patient or hypot(*ahead) > self._max_displacement_px or not self._motion.known:
             return Pose(self._segment, nan, nan, Velocity(nan, nan), nan, nan, TrackingState.LOST)
-        place, angle = (
-            last.at + rect(1, last.angle) * complex(*ahead),
-            last.angle + self._expected_turn(last, here).angle,
-        )
+        place = last.at + rect(1, last.angle) * complex(*ahead)
+        angle = last.angle + self._expected_turn(last, here).angle
         velocity, predicted = self._motion.next_velocity, TrackingState.PREDICTED
         return Pose(self._segment, place.real, place.imag, velocity, nan, nan, predicted, angle)
 

@@ -18,7 +18,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
 from napari_elsplus.processing.tracking.methods import TrackingMethod, prepared_frames
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
-from napari_elsplus.processing.tracking.pose_graph.refinement import refine
+from napari_elsplus.processing.tracking.pose_graph.refinement import located, refine
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -82,7 +82,8 @@ class FinishedTracking(TrackingMethod):
             FinishedNodeRegistration(self._registrar),
             prepared_frames(self._registrar, lambda index: image(frames[index]), _MAX_HELD),
         )
-        refined = refine(self._poses, self._tracker.links, graph)
+        links = self._tracker.links
+        refined = refine(located(self._poses, links, graph.grid.shutter), links, graph)
         return [_in_pixels_of(1 / self._registrar.binning, refined[k]) for k in self._image_of_frame]
 
     def discard_registrations(self) -> None:

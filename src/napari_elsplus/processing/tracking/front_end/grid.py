@@ -122,6 +122,13 @@ class Grid:
             line_offset=self.line_offset / by,
         )  # fmt: skip
 
+    def upside_down(self) -> Grid:
+        """Return the grid of images whose last row comes first."""
+        side, (row, col), seen = self.side, self.centre, self.seen
+        if seen is not None:
+            seen = side - seen[1], side - seen[0], *seen[2:]
+        return replace(self, centre=(side - 1 - row, col), seen=seen, line_offset=-self.line_offset)
+
     def spans(self, field: float = FIELD) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """First column of each row inside the central part of the disc, and the one after the last.
 

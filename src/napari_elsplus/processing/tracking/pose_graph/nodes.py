@@ -91,7 +91,7 @@ class KeyframeSelector:
         self._before: tuple[int, Pose] | None = None
         self._newest: TrackedPair | None = None
         self._node: TrackedPair | None = None
-        self._gone = 0.0
+        self._gone, self._unknown = 0.0, False
         self._since: list[PairRegistration] = []
 
     def add(self, frame: int, pose: Pose, link: TrackedPair | None) -> list[Node]:
@@ -109,10 +109,11 @@ class KeyframeSelector:
         known, self._before = self._before, (frame, pose)
         if known is None or known[1].segment != pose.segment:
             self._newest = self._node = link
-            self._gone, self._since = 0.0, []
+            self._gone, self._since, self._unknown = 0.0, [], False
             # the velocity of a first frame without a registration follows from the next one
             return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0)]
         nodes, before, newest = [], known[1], self._newest
+        self._unknown |= link is None
         self._gone += abs(pose.at - before.at)
         if link is not None and isnan(before.score):
             velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
@@ -128,12 +129,12 @@ class KeyframeSelector:
         if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
             turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
             node = node._replace(turn_sigma=1.0, upright=(*known, turn))
-        self._node, self._gone, self._since = link, 0.0, []
+        self._node, self._gone, self._since, self._unknown = link, 0.0, [], False
         return [*nodes, node]
 
     def _spread(self) -> tuple[NDArray[np.float64], float]:
         """Return the covariance of the newest frame's displacement from the node before, and its angle's deviation."""
-        links = [] if self._newest is None else [*self._since, self._newest.registration]
+        links = [] if self._newest is None or self._unknown else [*self._since, self._newest.registration]
         if not links:
             return np.eye(2), 1.0
         if self._node is not None:  # both are registered to the same frame, or the later one to the node

@@ -38,9 +38,9 @@ def refine(
     Parameters
     ----------
     poses : sequence of Pose
-        As tracked, one for every frame.
+        Of :func:`located`, one for every frame.
     links : sequence of TrackedPair
-        The tracker's registrations.
+        The registrations that locate them.
     graph : PoseGraph
         Empty.
     model : MotionModel
@@ -52,18 +52,20 @@ def refine(
         One for every frame. Segments are counted from 0, the first frame of each at (0, 0) and upright; predicted
         frames are interpolated between tracked ones, and those after the last of a segment are lost.
     """
-    settled = with_origins(settle(poses, links), links, graph.grid.shutter)
-    tracked = {k: pose.segment for k, pose in enumerate(settled) if pose.state is TrackingState.TRACKED}
-    selector, registered, solved = KeyframeSelector(graph.grid), {link.later: link for link in links}, 0
+    tracked = {k: pose.segment for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
+    selector, solved = KeyframeSelector(graph.grid), 0
+    registered: dict[int, TrackedPair] = {}
+    for link in links:
+        registered.setdefault(link.later, link)
     for k in tracked:
-        for node in selector.add(k, settled[k], registered.get(k)):
+        for node in selector.add(k, poses[k], registered.get(k)):
             graph.add(node, model)
         if len(graph.nodes) > _SOLVED_AT * solved:
             graph.solve()
             solved = len(graph.nodes)
     graph.register_deferred()
     graph.solve()
-    placed = from_origins(graph.corrections.of_poses(range(len(settled)), settled))
+    placed = from_origins(graph.corrections.of_poses(range(len(poses)), poses))
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
     edges = [
         Edge(a, b, complex(*moved), edge_covariance(link, stretch))
@@ -83,10 +85,13 @@ def from_origins(poses: Sequence[Pose]) -> list[Pose]:
     poses : sequence of Pose
         One for every frame.
     """
-    firsts = {pose.segment: pose for pose in reversed(poses) if pose.state is TrackingState.TRACKED}
+    firsts: dict[int, Pose] = {}
+    for pose in poses:
+        if pose.state is TrackingState.TRACKED:
+            firsts.setdefault(pose.segment, pose)
     moves = {
         segment: Correction.between(first, first.placed(0.0, 0.0, number))
-        for number, (segment, first) in enumerate(sorted(firsts.items()))
+        for number, (segment, first) in enumerate(firsts.items())
     }
     result, move = [], Correction(0)
     for pose in poses:
@@ -113,6 +118,21 @@ def borne_out(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Track
     # a first registration that waited stands with the one that confirmed it
     begun = {link.earlier for link in standing}
     return [link for link in standing if poses[link.later].state is TrackingState.TRACKED or link.later in begun]
+
+
+def located(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: RollingShutter) -> list[Pose]:
+    """Return the poses with frames lost that no registration locates, and the first frame of each segment located.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        As tracked, one for every frame.
+    links : sequence of TrackedPair
+        The tracker's registrations.
+    shutter : RollingShutter
+        Timing of the rows.
+    """
+    return with_origins(settle(poses, links), links, shutter)
 
 
 def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
