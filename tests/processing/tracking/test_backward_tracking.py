@@ -43,6 +43,17 @@ def test_a_grid_upside_down_has_the_pixels_of_the_images_upside_down() -> None:
         np.testing.assert_array_equal(turned, upright[::-1])
 
 
+def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
+    grid = Grid(116, 2, (0, 0), (57.5, 57.5), 108.0, RollingShutter(150.0))
+    tracker, dark = Tracker(grid), np.zeros((116, 116), np.float32)
+    poses = []
+    for _ in range(4):
+        tracker.slot()[:] = dark
+        poses.append(tracker.add())
+    _, links = completed(poses, tracker, lambda _: dark)
+    assert not links
+
+
 def test_frames_lost_before_a_segment_are_tracked_from_it_backwards_and_join_it_with_the_one_before() -> None:
     row = Row(60, "hand", 20.0)
     recording, grid = recorded(row, seed=2004), grid_of(row)

@@ -85,8 +85,8 @@ def _stretches(poses: Sequence[Pose]) -> list[tuple[int, int]]:
     poses : sequence of Pose
         One for every frame.
     """
-    missing = np.array([pose.state is not TrackingState.TRACKED for pose in poses])
-    missing[np.flatnonzero(~missing)[-1] :] = False
+    missing = np.array([pose.state is not TrackingState.TRACKED for pose in poses], bool)
+    missing[np.flatnonzero(~missing).max(initial=0) :] = False
     near = binary_dilation(missing, iterations=CONTEXT_FRAMES)
     ends = np.flatnonzero(np.diff(near, prepend=False, append=False))
     return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
