@@ -15,6 +15,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import (
     Remainder,
     composed,
     largest_saving,
+    selected_model,
     turned_by,
     upright,
 )
@@ -153,9 +154,15 @@ def test_the_rotation_within_frames_is_not_taken_for_a_part_of_that_between_them
     assert abs(errors[0]) < 0.03 < 0.1 < abs(errors[1])
 
 
-def turning(angle: float) -> Remainder:
-    """The score test of a registration that shows an angle."""
-    return Remainder(np.array([0.0, 0.0, 0.0, 0.0, angle]), SIGMA, 1500.0)
+def turning(angle: float, control: float = 0.0) -> Remainder:
+    """The score test of a registration that shows an angle, and a stretch of so many standard deviations."""
+    return Remainder(np.array([0.0, 0.0, 0.0, 0.0, angle]), SIGMA, 1500.0, control)
+
+
+def noisy(random: np.random.Generator, angle: float = 0.0) -> Remainder:
+    """The score test of a registration of frames with noise alone, between which the probe turned by an angle."""
+    turn, control = random.normal(size=2)
+    return turning(angle + SIGMA * turn, control)
 
 
 def noticed(rate: float, links: int, seed: int = 0) -> tuple[MotionModel, int]:
@@ -163,7 +170,7 @@ def noticed(rate: float, links: int, seed: int = 0) -> tuple[MotionModel, int]:
     random = np.random.default_rng(seed)
     selection = ModelSelection()
     for k in range(links):
-        if selection.weigh(turning(random.normal(rate, SIGMA, 2)[0])) is not MotionModel.TRANSLATION:
+        if selection.weigh(noisy(random, rate)) is not MotionModel.TRANSLATION:
             return selection.model, k
     return selection.model, links
 
@@ -180,7 +187,7 @@ def test_a_turn_that_no_single_link_shows_is_noticed_in_their_sum() -> None:
 
 def test_a_turn_that_begins_late_is_noticed() -> None:
     selection, random = ModelSelection(), np.random.default_rng(0)
-    models = [selection.weigh(turning(random.normal(0.002 if k >= 40 else 0.0, SIGMA, 2)[0])) for k in range(48)]
+    models = [selection.weigh(noisy(random, 0.002 if k >= 40 else 0.0)) for k in range(48)]
     assert models[39] is MotionModel.TRANSLATION
     assert models[-1] is MotionModel.RIGID
 
@@ -189,34 +196,55 @@ def test_a_turn_that_begins_late_is_noticed() -> None:
 def test_a_sudden_turn_is_noticed_at_once_whatever_was_found_before(links: int) -> None:
     """By hand a keyframe serves many frames: of their tests only the newest counts beside those kept before."""
     selection, random = ModelSelection(), np.random.default_rng(0)
-    before = {selection.weigh(turning(random.normal(0.0, SIGMA, 2)[0])) for _ in range(links)}
+    before = {selection.weigh(noisy(random)) for _ in range(links)}
     assert before == {MotionModel.TRANSLATION}
     assert selection.weigh(turning(12 * SIGMA), keep=False) is MotionModel.RIGID
 
 
 def test_errors_that_mislead_many_links_in_a_row_are_no_turn() -> None:
-    """Errors that wander: their sum grows like that of a turn, but no faster than they let expect."""
+    """Errors that wander put out the control as well: the sum grows like a turn's, but no faster than that expects."""
     climbed = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
-        selection, error = ModelSelection(), 0.0
+        selection, errors = ModelSelection(), np.zeros(2)
         for _ in range(60):
-            error = 0.6 * error + 0.8 * random.normal(0, SIGMA, 2)[0]
-            selection.weigh(turning(error))
+            errors = 0.6 * errors + 0.8 * random.normal(0, SIGMA, 2)
+            selection.weigh(turning(errors[0], errors[1] / SIGMA))
         climbed += selection.model is not MotionModel.TRANSLATION
     assert climbed <= 2
 
 
 def test_deforming_tissue_that_turns_to_and_fro_is_no_rotation_of_the_probe() -> None:
-    """Each finds an angle of three times its uncertainty, of either sign; the first few may be taken for a rotation."""
+    """Each finds an angle of three times its uncertainty, and a stretch; the first few may be taken for a rotation."""
     climbed = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
         selection = ModelSelection()
         for _ in range(60):
-            selection.weigh(turning(random.normal(0, 3 * SIGMA, 2)[0]))
+            turn, stretch = random.normal(0, 3, 2)
+            selection.weigh(turning(turn * SIGMA, stretch))
         climbed += selection.model is not MotionModel.TRANSLATION
     assert climbed <= 10
+
+
+def test_a_probe_that_turns_to_and_fro_turns() -> None:
+    """Its rates are of either sign and alike from one to the next, as errors may be, which the control then shows."""
+    random, rates = np.random.default_rng(0), 2.5 * SIGMA * np.sin(np.arange(88) / 9)
+    found = [noisy(random, rate) for rate in rates]
+    assert selected_model(found) is MotionModel.RIGID
+    deformed = [one._replace(control=one.control + 2.5 * np.cos(k / 9)) for k, one in enumerate(found)]
+    assert selected_model(deformed) is MotionModel.TRANSLATION
+
+
+@pytest.mark.parametrize(("stretch", "least"), [(0.0, 0.0), (0.004, 5.0), (-0.004, 5.0)])
+def test_a_stretch_of_the_columns_shows_in_the_control_alone(stretch: float, least: float) -> None:
+    registrar, a, b = pair(np.diag([1.0, 1 + stretch]), (5.0, -3.0))
+    link = registrar.register(a, b, about(GRID.shutter, Warp(b=-5.0, d=3.0)))
+    assert link is not None
+    found = registrar.remainder(a, b, link.warp, LOOSE)
+    assert found is not None
+    assert least <= abs(found.control) < least + 10
+    assert abs(found.step[-1]) < 3 * found.sigma
 
 
 @pytest.mark.parametrize(
@@ -297,7 +325,7 @@ def test_a_few_full_views_tell_a_steady_turn_among_many_that_tell_nothing() -> N
     noise = sigmas * np.convolve(rng.normal(size=61), [0.8, 0.6], "valid")
     values = np.full(60, 1500.0)
     turned, still = (
-        np.log(values.sum()) * largest_saving(np.stack([turns, sigmas, values]), False)
+        np.log(values.sum()) * largest_saving(np.stack([turns, sigmas, values, noise / sigmas]), False)
         for turns in (noise + 7e-4, noise)
     )
     assert turned > 24 > 10 > still

@@ -30,7 +30,7 @@ TONE = 2
 PARAMETERS = 4
 """a, b, s, d of the warp: the next ones."""
 UNKNOWNS = TONE + PARAMETERS
-"""Both together; a rotation, where one is estimated, is the next."""
+"""Both together; a rotation and a stretch of the columns, where they are estimated, are the next."""
 NOISE_GRADIENT = 0.6
 """Mean squared gradient of noise over its variance, 1 / px^2; derived for noise smoothed by 1 4 6 4 1."""
 MIN_SHARED = 0.1
@@ -64,7 +64,8 @@ class Workspace(NamedTuple):
     Parameters
     ----------
     normal, right : numpy.ndarray
-        (7, 7) and (7,) float64: normal equations of gain, offset and warp; of rotation as well in its score test.
+        (8, 8) and (8,) float64: normal equations of gain, offset and warp; of rotation and stretch as well in the score
+        test of rotation.
     tone : numpy.ndarray
         (2,) float64: gain and offset of the image against the template.
     stiffness, schur : numpy.ndarray
@@ -88,7 +89,7 @@ class Workspace(NamedTuple):
     def of(cls, side: int) -> Workspace:
         """Return one for frames of so many rows and columns, `side`."""
         stiffness, schur = np.zeros((2, PARAMETERS, PARAMETERS))
-        normal, right = np.zeros((UNKNOWNS + 1, UNKNOWNS + 1)), np.zeros(UNKNOWNS + 1)
+        normal, right = np.zeros((UNKNOWNS + 2, UNKNOWNS + 2)), np.zeros(UNKNOWNS + 2)
         return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros(5), np.zeros((2, side), np.float32))
 
 
@@ -112,8 +113,8 @@ def accumulate(
     work : Workspace
         With gain and offset of the image against the template.
     column : float or None
-        Column of the bundle's centre, if the equation of a rotation about it is to be the last one. For None the
-        kernel is compiled without it.
+        Column of the bundle's centre, if equations of a rotation about it and of a stretch of the columns are to be the
+        last ones. For None the kernel is compiled without them.
     """
     template, image, middle = pair.template, pair.image, pair.middle
     normal, right, sums = work.normal, work.right, work.sums
@@ -176,6 +177,7 @@ def add_row(
     t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
     y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     w1, ww, wy, wx, wt, we, x0 = zero, zero, zero, zero, zero, zero, zero
+    u1, uu, ux, uw, ut, ue = zero, zero, zero, zero, zero, zero
     if column is not None:
         x0 = np.float32(begin - column)
     for k in range(end - begin):
@@ -198,13 +200,20 @@ def add_row(
         xe += gx * e
         gg += (gy * gy + gx * gx) * e * e
         if column is not None:
-            w = (x0 + np.float32(np.int32(k))) * gy
+            x = x0 + np.float32(np.int32(k))
+            w, u = x * gy, x * gx
             w1 += w
             ww += w * w
             wy += w * gy
             wx += w * gx
             wt += w * t
             we += w * e
+            u1 += u
+            uu += u * u
+            ux += u * gx
+            uw += u * w
+            ut += u * t
+            ue += u * e
     gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
     size = len(powers)
     for m in range(2):
@@ -217,14 +226,17 @@ def add_row(
             normal[at, 1] += powers[p] * both[m]
             right[at] += powers[p] * with_residual[m]
     if column is not None:
-        last = TONE + 2 * size
-        normal[last, 0] += wt
-        normal[last, 1] += w1
-        for p in range(size):
-            normal[last, TONE + p] += powers[p] * wy
-            normal[last, TONE + size + p] += powers[p] * wx
-        normal[last, last] += ww
-        right[last] += we
+        turn, stretch = TONE + 2 * size, TONE + 2 * size + 1
+        for at, of_1, of_t, of_y, of_x, of_e in ((turn, w1, wt, wy, wx, we), (stretch, u1, ut, wx, ux, ue)):
+            normal[at, 0] += of_t
+            normal[at, 1] += of_1
+            for p in range(size):
+                normal[at, TONE + p] += powers[p] * of_y
+                normal[at, TONE + size + p] += powers[p] * of_x
+            right[at] += of_e
+        normal[turn, turn] += ww
+        normal[stretch, turn] += uw
+        normal[stretch, stretch] += uu
     normal[0, 0] += float(tt)
     normal[1, 0] += float(t1)
     normal[1, 1] += end - begin

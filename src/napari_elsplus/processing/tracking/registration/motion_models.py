@@ -1,10 +1,12 @@
 """Whether the probe turns: a score test for a rotation beside the rolling shutter's warp, and frames freed of it.
 
 The rolling shutter's warp contains no rotation. One more pass over registered frames estimates what it would add to the
-warp, with its uncertainty. Whether it is modelled is decided by the Bayesian information criterion over many
-registrations together: a slow rotation is significant in no single one but in their sum, which grows faster than its
-uncertainty. One that sets in is sought from every registration on, so that those before do not hide it. A rotated frame
-is rotated back before it is registered, so that all else remains as for a probe that does not rotate.
+warp, with its uncertainty; and beside it a stretch of the columns, which neither motion nor rotation makes. This is the
+control: it tells how far errors that are no noise, of tissue that deforms or of optics that distort, put out the
+rotation as well. Whether rotation is modelled is decided by the Bayesian information criterion over many registrations
+together: a slow rotation is significant in no single one but in their sum, which grows faster than its uncertainty. One
+that sets in is sought from every registration on, so that those before do not hide it. A rotated frame is rotated back
+before it is registered, so that all else remains as for a probe that does not rotate.
 
 References
 ----------
@@ -41,6 +43,9 @@ _SCORED: Final = lucas_kanade.Iteration(1, 1, 0.0, False)
 """How a rotation is estimated at half resolution: one step."""
 _TONE: Final = lucas_kanade.Iteration(4, 1, 0.0, False)
 """How gain and offset are estimated before, on which the noise depends: by regression."""
+_STRETCH: Final = UNKNOWNS + 1
+_LARGE_STRETCH: Final = 0.1
+"""Standard deviation of a stretch of the columns beforehand; chosen: far above any; one fibre has a solution."""
 _MARGIN: Final = 2.0
 """How many times the criterion's penalty must be saved: it is tested again and again in a long recording."""
 _REMEMBERED: Final = 64
@@ -48,7 +53,7 @@ _ONSET: Final = 2.0
 """How many parameters, with the registrations as values, an unknown beginning or end is worth (Zhang & Siegmund)."""
 _SCATTER: Final = 2.0
 _PRIOR_LINKS: Final = 4
-"""Variance of links about their mean, in units of what they say, and how many links that is worth at first."""
+"""Variance of controls, in units of what is stated, and how many registrations that is worth at first."""
 _MOST_ALIKE: Final = 0.95
 _SUSPICIOUS_SIGMAS: Final = 2.0
 """Rotation over its standard deviation from which it is looked into; chosen: turned frames that are hardly alike have
@@ -76,11 +81,14 @@ class Remainder(NamedTuple):
         Standard deviation of the rotation, radians.
     values : float
         Independent values that were compared.
+    control : float
+        Stretch of the columns, estimated beside the rotation, over its standard deviation.
     """
 
     step: Matrix
     sigma: float
     values: float
+    control: float = 0.0
 
     @property
     def may_turn(self) -> bool:
@@ -217,8 +225,8 @@ def score_rotation(
     work : Workspace
         For frames of this size or larger.
     """
-    normal, right, tone = work.normal, work.right[: UNKNOWNS + 1], work.tone
-    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    normal, right, tone = work.normal, work.right, work.tone
+    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     there = in_pixels_of(2.0, warp)
     tone[0], tone[1] = 1.0, 0.0
     count, template_sum, _, both, _ = lucas_kanade.accumulate(pair, _TONE, there, work, None)
@@ -234,14 +242,17 @@ def score_rotation(
     normal[TONE + 2, TONE + 2] += stiffness * noise
     normal[UNKNOWNS, UNKNOWNS] += of_prior
     right[UNKNOWNS] += turn[0] * of_prior
+    normal[_STRETCH, _STRETCH] += noise / _LARGE_STRETCH**2
     if not lucas_kanade.solve(normal, right, TONE, work.schur):
         return nothing
+    control = right[_STRETCH] * np.sqrt(normal[_STRETCH, _STRETCH] / noise)
+    right[UNKNOWNS] += normal[UNKNOWNS, _STRETCH] / normal[UNKNOWNS, UNKNOWNS] * right[_STRETCH]  # as without a stretch
     sigma, values = np.sqrt(noise / normal[UNKNOWNS, UNKNOWNS]), count / (CORRELATED_PX / 4)
     for i in range(UNKNOWNS - 1, -1, -1):  # by how much the others change with it: each was registered finely without
         right[i] = 0.0
         for k in range(i + 1, UNKNOWNS + 1):
             right[i] -= normal[i, k] * right[k] / normal[i, i]
-    return right[2], 2 * right[3], right[4], 2 * right[5], right[UNKNOWNS], sigma, values
+    return right[2], 2 * right[3], right[4], 2 * right[5], right[UNKNOWNS], sigma, values, control
 
 
 def selected_model(found: Sequence[Remainder]) -> MotionModel:
@@ -251,7 +262,7 @@ def selected_model(found: Sequence[Remainder]) -> MotionModel:
     """
     if not found:
         return MotionModel.TRANSLATION
-    tests = np.array([(one.step[-1], one.sigma, one.values) for one in found]).T.copy()
+    tests = np.array([(one.step[-1], one.sigma, one.values, one.control) for one in found]).T.copy()
     return MotionModel.RIGID if largest_saving(tests, True) > _MARGIN else MotionModel.TRANSLATION
 
 
@@ -260,55 +271,44 @@ def largest_saving(tests: NDArray[np.float64], ended: bool) -> float:
     """Return what a rotation saves at most of the sum of squares, in units of the criterion's penalty for it.
 
     Between its beginning and its end, which are sought, registrations have its weighted mean in common; others turn by
-    nothing. By as much as all scatter about that, and from one to the next alike, the mean may err as well. Weights are
-    inverse variances, so that the few frames with much in view count.
+    nothing. By as much as the controls exceed their noise, and from one to the next alike, the mean may err as well.
+    Weights are inverse variances, so that the few frames with much in view count.
 
     Parameters
     ----------
     tests : numpy.ndarray
-        (3, m) float64: rotation by each score test, its standard deviation, and the independent values compared.
+        (4, m) float64: rotation by each score test, its standard deviation, the independent values compared, and the
+        control over its own.
     ended : bool
         The rotation may have ended before the last of them.
     """
-    turns, sigmas, values = tests[0], tests[1], tests[2]
-    count, total, squares, products, compared, before = len(turns), 0.0, 0.0, 0.0, 0.0, 0.0
+    turns, sigmas, values, controls = tests[0], tests[1], tests[2], tests[3]
+    count, compared, total, squares, products, before = len(turns), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(count):
-        score = turns[k] / (sigmas[k] * sigmas[k])
+        score = controls[k] / sigmas[k]
         total += 1 / (sigmas[k] * sigmas[k])
         squares += score * score
         products += score * before
         compared += values[k]
         before = score
     at_first = _PRIOR_LINKS * total / count
+    scatter = (squares + _SCATTER * at_first) / (total + at_first)
+    alike = min(max(products / (total * scatter), 0.0), _MOST_ALIKE)
     of_rotation, of_onset = np.log(compared), _ONSET * np.log(count)
     largest = 0.0
     for end in range(1 if ended else count, count + 1):
-        # sums within, and how squares and products of successive scores depend on the mean that is subtracted there
-        weights, scores, square_slope, square_bend, slope, bend = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        weight, weight_after = 0.0, 0.0
+        weights, scores = 0.0, 0.0
         for first in range(end - 1, -1, -1):
-            weight_after, weight = weight, 1 / (sigmas[first] * sigmas[first])
-            score = weight * turns[first]
+            weight = 1 / (sigmas[first] * sigmas[first])
             weights += weight
-            scores += score
-            square_slope += weight * score
-            square_bend += weight * weight
-            if first > 0:
-                slope += weight * turns[first - 1] / (sigmas[first - 1] * sigmas[first - 1])
-            if first + 1 < count:
-                slope += weight * turns[first + 1] / (sigmas[first + 1] * sigmas[first + 1])
-            bend += weight * weight_after
-            mean = scores / weights
-            scatter = squares - mean * (2 * square_slope - mean * square_bend)
-            scatter = (scatter + _SCATTER * at_first) / (total + at_first)
-            alike = min(max((products - mean * (slope - mean * bend)) / (total * scatter), 0.0), _MOST_ALIKE)
+            scores += weight * turns[first]
             penalty = of_rotation
             if first > 0:
                 penalty += of_onset
             if end < count:
                 penalty += of_onset
-            largest = max(largest, scores * mean * (1 - alike) / (scatter * (1 + alike) * penalty))
-    return float(largest)
+            largest = max(largest, scores * scores / (weights * penalty))
+    return float(largest * (1 - alike) / (scatter * (1 + alike)))
 
 
 _largest_saving = resolved_once(largest_saving)
@@ -339,7 +339,7 @@ class ModelSelection:
 
     def __init__(self, model: MotionModel = MotionModel.TRANSLATION) -> None:
         self.model = model
-        self._found = np.zeros((3, _REMEMBERED))
+        self._found = np.zeros((4, _REMEMBERED))
         self._first = _REMEMBERED - 1
 
     def weigh(self, found: Remainder, *, keep: bool = True) -> MotionModel:
@@ -353,7 +353,7 @@ class ModelSelection:
             Add its evidence to that of the earlier ones.
         """
         tests = self._found
-        tests[0, -1], tests[1, -1], tests[2, -1] = found.step[-1], found.sigma, found.values
+        tests[:, -1] = found.step[-1], found.sigma, found.values, found.control
         if _largest_saving(tests[:, self._first :], False) > _MARGIN:
             self.model = MotionModel.RIGID
         if keep:

@@ -320,8 +320,8 @@ class Registrar:
             Compare the rim as well: a test has more power with it, an estimate less bias without.
         """
         pair = self._halves(earlier, later, rim=rim)
-        *step, sigma, values = _score_rotation(pair, self._column, warp, spread**-2, turn, self._tools.work)
-        return motion_models.Remainder(np.array(step), sigma, values) if values else None
+        *step, sigma, values, control = _score_rotation(pair, self._column, warp, spread**-2, turn, self._tools.work)
+        return motion_models.Remainder(np.array(step), sigma, values, control) if values else None
 
     def _turned(
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, expected: Turn, *, anywhere: bool
