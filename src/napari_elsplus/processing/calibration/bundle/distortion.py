@@ -226,17 +226,18 @@ class DistortionMatcher:
         Parameters
         ----------
         start : numpy.ndarray
-            (2, 10) coefficients that are correct to within a core.
+            (2, 10) coefficients that are correct to within a core, of any model.
         model : DistortionModel
             The map.
         part : float
             Share of the bundle's radius.
         """
-        matcher, basis, coefficients = self.matcher, model.basis, start
+        matcher, basis = self.matcher, model.basis
         used = np.hypot(matcher.rows, matcher.cols) < part * self.radius_px
         pixels = matcher.inside.copy()
         pixels[matcher.inside] = used
         moves = np.tensordot(basis, self.terms[:, pixels], 1)
+        coefficients = _nearest(start, basis, moves, self.terms[:, pixels])
         target = matcher.confocal[pixels].astype(np.float64)
         of_target = slopes(matcher.confocal, moves, pixels)
         for _ in range(MAX_STEPS):
@@ -266,3 +267,20 @@ class DistortionMatcher:
         moved = coefficients.copy()
         moved[:, 0] += by
         return warped(self.matcher.contrast, self.positions(moved))
+
+
+def _nearest(coefficients: Floats, basis: Floats, moves: Floats, terms: Floats) -> Floats:
+    """Return the coefficients (2, 10) of a model that are nearest to others by the displacement of points.
+
+    Parameters
+    ----------
+    coefficients : numpy.ndarray
+        (2, 10) of a model that may contain more.
+    basis : numpy.ndarray
+        (parameters, 2, 10): the model.
+    moves, terms : numpy.ndarray
+        Displacement of the points by each parameter, (parameters, 2, points), and the polynomial's terms there.
+    """
+    products = np.tensordot(moves, moves, ((1, 2), (1, 2)))
+    along = np.tensordot(moves, coefficients @ terms, ((1, 2), (0, 1)))
+    return np.asarray(np.tensordot(np.linalg.lstsq(products, along, rcond=None)[0], basis, 1), np.float64)
