@@ -7,8 +7,6 @@ from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-import numpy as np
-
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackTable
 from napari_elsplus.io.frame_times import median_period_s
@@ -26,6 +24,7 @@ from napari_elsplus.workflows.two_threads import tracking_images
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -201,8 +200,8 @@ class TrackedStack:
         """Return messages to the user: light that was taken out of the mosaics, and too few tracked frames."""
         light, notes = self.lead.line_light, []
         if light is not None and light.uneven:
-            low, high = (100 * float(part) for part in np.percentile(light.relative, (5, 95)))
-            notes.append(f"uneven light along the line, {low:.0f} to {high:.0f} % of its mean, was taken out")
+            low, high = (100 * part for part in light.spread)
+            notes.append(f"uneven light of the line, {low:.0f} to {high:.0f} % of its mean, was taken out")
         if sum(row.state == TrackingState.TRACKED for row in self.lead.rows) < 2:
             notes.append(UNLINKED)
         return notes

@@ -65,7 +65,7 @@ class Pipeline:
     mosaics : dict of int to TiledCanvas
         One for each segment.
     line_light : LineLight or None
-        Light along the laser line, as :meth:`finish` estimated it; taken out of its mosaics where it is uneven.
+        Light of the laser line, as :meth:`finish` estimated it; taken out of its mosaics where it is uneven.
 
     Raises
     ------
@@ -288,7 +288,7 @@ class Pipeline:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
 
     def _uneven_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.float32] | None:
-        """Estimate the light along the laser line, and return it (side,) if it is uneven.
+        """Estimate the light of the laser line, and return it (side, side) if it is uneven.
 
         Where the line has left the bundle while the residual is read, its haze is left, which does not move.
         """

@@ -1,10 +1,11 @@
-"""Light along the laser line, estimated from tissue that several frames show at different columns.
+"""Light along the laser line and over its scan, estimated from tissue that several frames show at different places.
 
 Uneven light moves with the probe: in a mosaic it leaves ramps and edges. The overlap of two tracked frames is the same
-tissue under the light of different columns, so that the ratios of its contrast, the standard deviation of its grey
-levels by columns, contain the light alone; mean grey levels would contain haze that does not move with the tissue.
-Logarithms of the ratios are linear in the light's logarithm, a cosine series along the line, and in the brightness of
-each frame, which scatters about a mean: without that a ramp of the light would be one of the tissue.
+tissue under the light of different columns and rows, so that the ratios of its contrast, the standard deviation of its
+grey levels by columns and by rows, contain the light alone; mean grey levels would contain haze that does not move with
+the tissue. Logarithms of the ratios are linear in the light's logarithm, a cosine series along the line plus one over
+the scan, and in the brightness of each frame, which scatters about a mean: without that a ramp of the light would be
+one of the tissue.
 """
 
 from __future__ import annotations
@@ -35,18 +36,21 @@ FRAMES_AND_PAIRS: Final = ((12, 24), (40, 96))
 """Frames that are compared at most, spread evenly over the track, and pairs of them: at first, and where the light may
 be uneven; chosen: their ratios determine the light to 1 %, and to a few tenths."""
 DISTANCES: Final = (0.1, 0.6)
-"""Of the frames of a pair, diameters: along the line at least, and in all at most; chosen: ratios that are off by 2 %
-alike give a ramp of 20 % across the field, and of pairs closer to each other more."""
+"""Of the frames of a pair, diameters: along the line or the scan at least, and in all at most; chosen: ratios that are
+off by 2 % alike give a ramp of 20 % across the field, and of pairs closer to each other more."""
 MAX_TURN_RAD: Final = 0.05
 """Between the frames of a pair; chosen: at the rim the tissue is then displaced by six columns."""
-COLUMNS: Final = 8
-"""Columns whose contrast is compared as one; chosen: several cores."""
+BLOCK_PX: Final = 8
+"""Columns, and rows, whose contrast is compared as one; chosen: several cores."""
 MIN_PIXELS: Final = 20
 """From which a contrast is estimated; chosen."""
 MAX_LOG_RATIO: Final = 0.7
 """Chosen: beyond a factor of two the overlap is not of the same tissue."""
 TERMS: Final = 16
-"""Cosines; derived: the shortest half wave is a sixteenth of the field."""
+"""Cosines along the line; derived: the shortest half wave is a sixteenth of the field."""
+SCAN_TERMS: Final = 6
+"""Cosines over the scan; chosen: mirrors and lenses let light fall smoothly, while a line has ripples; with four a ramp
+of 80 % is left by 1.6 %, with six by 0.6 % (four scenes of the tests)."""
 LIGHT_PRIOR: Final = 0.3
 """Standard deviation of each cosine's amplitude, relative; chosen."""
 BRIGHTNESS_PRIOR: Final = 0.03
@@ -57,36 +61,50 @@ MIN_SIGMAS: Final = 6.0
 """Of that departure over its uncertainty; chosen."""
 OUTLIER_SIGMAS: Final = 4.0
 """Chosen: tissue that moves by itself, and what registration has missed."""
+_PARTS: Final = slice(TERMS), slice(TERMS, TERMS + SCAN_TERMS)
+"""The solution's cosines along the line, and those over the scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineLight:
-    """Light along the laser line.
+    """Light of the laser line where it stands while each pixel is read.
 
     Parameters
     ----------
     relative : numpy.ndarray
-        (side,) float32: light at each column of the grid over its mean in the field.
+        (side, side) float32: light at each pixel of the grid over its mean in the field, a product of one factor for
+        each column and one for each row; 1 beyond the field.
     departure : float
-        Root mean square of its departure from 1.
+        Root mean square of its departure from 1 in the field.
     uncertainty : float
-        One standard deviation of the light, root mean square over the columns.
+        One standard deviation of the light, root mean square over the field.
+    spread : tuple of float
+        Fifth and ninety-fifth percentile of the light over its mean in the field.
+    even_parts : tuple of slice
+        Cosines of the factors, of columns or of rows, that do not depart from even light by themselves.
     """
 
     relative: NDArray[np.float32]
     departure: float
     uncertainty: float
+    spread: tuple[float, float]
+    even_parts: tuple[slice, ...] = ()
 
     @property
     def uneven(self) -> bool:
         """True if the light departs from even light significantly and visibly."""
-        return self.departure > max(MIN_DEPARTURE, MIN_SIGMAS * self.uncertainty)
+        return _departs(self.departure, self.uncertainty)
+
+
+def _departs(departure: float, uncertainty: float) -> bool:
+    """Return True if light departs from even light significantly and visibly."""
+    return departure > max(MIN_DEPARTURE, MIN_SIGMAS * uncertainty)
 
 
 def estimate_line_light(
     image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid
 ) -> LineLight | None:
-    """Estimate the light along the line from the overlaps of tracked frames.
+    """Estimate the light of the line from the overlaps of tracked frames.
 
     Parameters
     ----------
@@ -100,7 +118,7 @@ def estimate_line_light(
     Returns
     -------
     LineLight or None
-        None where no frames overlap at different columns.
+        None where no frames overlap at different columns or rows.
     """
     light = None
     for frames, pairs in FRAMES_AND_PAIRS:
@@ -124,37 +142,105 @@ def _compare(
     places = np.array([[pose.row, pose.col] for pose in (poses[index] for index in frames)])
     moves = np.rint(places[members[:, 1]] - places[members[:, 0]]).astype(np.int64)
     first, last = grid.spans()
-    by_column = np.zeros((len(pairs), 5, -(-grid.side // COLUMNS), COLUMNS))
-    _sum_columns(images, members, moves, first, last, by_column.reshape(len(pairs), 5, -1))
-    sums = by_column.sum(axis=-1)
-    pair, columns = np.nonzero(sums[:, 0] >= MIN_PIXELS)
-    pixels, *moments = sums[pair, :, columns].T
+    columns = np.arange(float(grid.side))
+    lit = (columns >= first[:, None]) & (columns < last[:, None])
+    extent = float((last - first).max())
+    waves = [_cosines(columns, grid.centre[1], extent, TERMS), _cosines(columns, grid.centre[0], extent, SCAN_TERMS)]
+    blocks = -(-grid.side // BLOCK_PX)
+    sums = np.zeros((2, len(pairs), 5, blocks * BLOCK_PX))
+    _sum_overlaps(images, members, moves, first, last, *sums)
+    sums = sums.reshape(2, len(pairs), 5, blocks, BLOCK_PX).sum(axis=-1)
+    parts = [_ratios(each) for each in sums]
+    designs = [
+        np.concatenate([_changes(waves, lit, move, axis) for move in moves]).reshape(len(pairs), blocks, -1)[
+            pair, block
+        ]
+        for axis, (pair, block, _, _) in enumerate(parts)
+    ]
+    pair, _, pixels, values = (np.concatenate(each) for each in zip(*parts, strict=True))
+    light_terms = TERMS + SCAN_TERMS
+    design = np.zeros((len(pair), light_terms + len(frames)))
+    design[:, :light_terms] = np.concatenate(designs)
+    design[np.arange(len(pair)), light_terms + members[pair, 0]] = 1
+    design[np.arange(len(pair)), light_terms + members[pair, 1]] = -1
+    apart = (np.abs(moves) / grid.diameter > DISTANCES[0]).any(axis=0)
+    for part, known in zip(_PARTS, apart[::-1], strict=True):
+        design[:, part] *= known
+    light = _fit(design, values, pixels, pair, waves, lit)
+    if light is not None and light.uneven and len(light.even_parts) == 1:
+        design[:, light.even_parts[0]] = 0
+        return _fit(design, values, pixels, pair, waves, lit)
+    return light
+
+
+def _cosines(at: Floats, centre: float, extent: float, terms: int) -> Floats:
+    """Return the cosines of a series at places along one axis of the field, (places, terms)."""
+    along = np.clip((at[:, None] - centre) / extent + 0.5, 0, 1)
+    return np.asarray(np.cos(np.pi * np.arange(1, terms + 1) * along), np.float64)
+
+
+def _ratios(sums: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats]:
+    """Return pair, block, pixels and logarithm of the ratio of contrasts, of each block of an overlap that has enough.
+
+    Parameters
+    ----------
+    sums : numpy.ndarray
+        (pairs, 5, blocks), of :func:`_sum_overlaps`.
+    """
+    pair, block = np.nonzero(sums[:, 0] >= MIN_PIXELS)
+    pixels, *moments = sums[pair, :, block].T
     one, two = (_contrast(pixels, *moments[k : k + 2]) for k in (0, 2))
-    at = COLUMNS * (columns + 0.5) - 0.5
-    terms = np.arange(1, TERMS + 1)
-    field = last - first
+    return pair, block, pixels, np.log(one / two)
 
-    def cosines(column: NDArray[np.floating]) -> Floats:
-        at_line = np.clip((column[:, None] - grid.centre[1]) / field.max() + 0.5, 0, 1)
-        return np.asarray(np.cos(np.pi * terms * at_line), np.float64)
 
-    design = np.zeros((len(pair), TERMS + len(frames)))
-    design[:, :TERMS] = cosines(at) - cosines(at - moves[pair, 1])
-    design[np.arange(len(pair)), TERMS + members[pair, 0]] = 1
-    design[np.arange(len(pair)), TERMS + members[pair, 1]] = -1
-    return _fit(design, np.log(one / two), pixels, pair, cosines(np.arange(float(grid.side))), field)
+def _changes(waves: list[Floats], lit: NDArray[np.bool_], move: NDArray[np.int64], axis: int) -> Floats:
+    """Return the mean change of each cosine from the second to the first frame, by blocks of their overlap.
+
+    Parameters
+    ----------
+    waves : list of numpy.ndarray
+        Cosines along the line and over the scan, (side, terms) each.
+    lit : numpy.ndarray
+        (side, side) bool: the field.
+    move : numpy.ndarray
+        Rows and columns by which the second frame lies further.
+    axis : int
+        0 for blocks of columns, 1 for blocks of rows.
+
+    Returns
+    -------
+    numpy.ndarray
+        (blocks, terms of both).
+    """
+    side = len(lit)
+    down, across = (int(each) for each in move)
+    overlap = np.zeros_like(lit)
+    to = np.s_[max(0, down) : min(side, side + down), max(0, across) : min(side, side + across)]
+    back = np.s_[max(0, -down) : min(side, side - down), max(0, -across) : min(side, side - across)]
+    overlap[to] = lit[to] & lit[back]
+    line, scan = (
+        wave - wave[np.clip(np.arange(side) - by, 0, side - 1)] for wave, by in zip(waves, (across, down), strict=True)
+    )
+    own, other = (line, scan) if axis == 0 else (scan, line)
+    count = overlap.sum(axis=axis)
+    starts = np.arange(0, side, BLOCK_PX)
+    pixels = np.maximum(np.add.reduceat(count, starts), 1)[:, None]
+    by_other = (overlap.T if axis == 0 else overlap).astype(np.float64) @ other
+    own_mean = np.add.reduceat(own * count[:, None], starts) / pixels
+    other_mean = np.add.reduceat(by_other, starts) / pixels
+    return np.concatenate([own_mean, other_mean] if axis == 0 else [other_mean, own_mean], axis=1)
 
 
 def _pairs(poses: Sequence[Pose], grid: Grid, max_frames: int, max_pairs: int) -> list[tuple[int, int]]:
-    """Return indices of tracked frames that overlap at different columns, the earlier one first."""
+    """Return indices of tracked frames that overlap at different columns or rows, the earlier one first."""
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
     pairs = []
     for a, b in combinations(_spread(tracked, max_frames), 2):
         one, two = poses[a], poses[b]
-        along = abs(two.col - one.col) / grid.diameter
+        apart = max(abs(two.col - one.col), abs(two.row - one.row)) / grid.diameter
         away = np.hypot(two.row - one.row, two.col - one.col) / grid.diameter
         upright = abs(two.angle - one.angle) < MAX_TURN_RAD
-        if one.segment == two.segment and upright and along > DISTANCES[0] and away < DISTANCES[1]:
+        if one.segment == two.segment and upright and apart > DISTANCES[0] and away < DISTANCES[1]:
             pairs.append((a, b))
     return _spread(pairs, max_pairs)
 
@@ -174,8 +260,8 @@ def _fit(
     values: Floats,
     weights: Floats,
     pair: NDArray[np.intp],
-    cosines: Floats,
-    field: NDArray[np.int32],
+    waves: list[Floats],
+    lit: NDArray[np.bool_],
 ) -> LineLight | None:
     """Solve for the light and the frames' brightness by weighted least squares with their priors.
 
@@ -185,17 +271,18 @@ def _fit(
         Of the logarithm of each ratio of contrasts: its derivatives by the unknowns, itself, and its weight.
     pair : numpy.ndarray
         Number of its pair, the clusters of the uncertainty.
-    cosines : numpy.ndarray
-        (side, TERMS).
-    field : numpy.ndarray
-        (side,) length of each line of the field, by which columns are weighted too: the field is round.
+    waves : list of numpy.ndarray
+        Cosines along the line and over the scan, (side, terms) each.
+    lit : numpy.ndarray
+        (side, side) bool: the field.
     """
+    light_terms = TERMS + SCAN_TERMS
     precision = np.full(design.shape[1], BRIGHTNESS_PRIOR**-2)
-    precision[:TERMS] = LIGHT_PRIOR**-2
+    precision[:light_terms] = LIGHT_PRIOR**-2
     used = np.abs(values) < MAX_LOG_RATIO
     noise = MAX_LOG_RATIO
     for _ in range(3):
-        if used.sum() <= TERMS:
+        if used.sum() <= light_terms:
             return None
         weighted = design * (weights * used / (weights[used].mean() * noise**2))[:, None]
         curvature = weighted.T @ design + np.diag(precision)
@@ -203,27 +290,39 @@ def _fit(
         misses = values - design @ solution
         noise = float(np.sqrt(np.average(np.square(misses[used]), weights=weights[used])))
         used = np.abs(misses) < OUTLIER_SIGMAS * noise
-    influence = estimator_influence(weighted * misses[:, None], curvature, pair, int(pair.max()) + 1)[:, :TERMS]
-    errors = influence @ cosines.T
-    light = np.exp(cosines @ solution[:TERMS])
-    relative = light / np.average(light, weights=field)
+    influence = estimator_influence(weighted * misses[:, None], curvature, pair, int(pair.max()) + 1)
+    line, scan = (wave @ solution[part] for wave, part in zip(waves, _PARTS, strict=True))
+    line_errors, scan_errors = (wave @ influence[:, part].T for wave, part in zip(waves, _PARTS, strict=True))
+    light = np.exp(scan[:, None] + line)
+    relative = np.where(lit, light / light[lit].mean(), 1)
+    along, over = np.square(line_errors).sum(axis=1), np.square(scan_errors).sum(axis=1)
+    squares = over[:, None] + along + 2 * scan_errors @ line_errors.T
+    even_parts = []
+    for part, factor, variance, axis in zip(_PARTS, (line, scan), (along, over), (0, 1), strict=True):
+        field = lit.sum(axis=axis)
+        departure = np.sqrt(np.average(np.square(factor - np.average(factor, weights=field)), weights=field))
+        if not _departs(float(departure), float(np.sqrt(np.average(variance, weights=field)))):
+            even_parts.append(part)
     return LineLight(
         relative.astype(np.float32),
-        departure=float(np.sqrt(np.average(np.square(relative - 1), weights=field))),
-        uncertainty=float(np.sqrt(np.average(np.square(errors).sum(axis=0), weights=field))),
+        departure=float(np.sqrt(np.square(relative[lit] - 1).mean())),
+        uncertainty=float(np.sqrt(squares[lit].mean())),
+        spread=(float(np.percentile(relative[lit], 5)), float(np.percentile(relative[lit], 95))),
+        even_parts=tuple(even_parts),
     )
 
 
 @lean_kernel
-def _sum_columns(
+def _sum_overlaps(
     images: NDArray[np.float32],
     members: NDArray[np.int64],
     moves: NDArray[np.int64],
     first: NDArray[np.int32],
     last: NDArray[np.int32],
-    sums: Floats,
+    by_column: Floats,
+    by_row: Floats,
 ) -> None:
-    """Sum pixels, grey levels and their squares over what the images of each pair share, by columns of the first.
+    """Sum pixels, grey levels and their squares over what the images of each pair share.
 
     Parameters
     ----------
@@ -233,8 +332,9 @@ def _sum_columns(
         (pairs, 2): numbers of the images; rows and columns by which the second one's frame lies further.
     first, last : numpy.ndarray
         Of :meth:`Grid.spans`.
-    sums : numpy.ndarray
-        (pairs, 5, columns) zeros: filled with pixels, grey levels and squares of the first, of the second.
+    by_column, by_row : numpy.ndarray
+        (pairs, 5, side or more) zeros: filled with pixels, grey levels and squares of the first, of the second, by
+        columns and by rows of the first.
     """
     side = len(first)
     for pair in range(len(members)):
@@ -242,11 +342,16 @@ def _sum_columns(
         for r in range(max(0, down), min(side, side + down), ROW_STEP):
             begin, end = max(first[r], first[r - down] + across), min(last[r], last[r - down] + across)
             here, there = images[one, r, begin:end], images[two, r - down, begin - across : end - across]
-            pixels, light, squares = sums[pair, 0, begin:end], sums[pair, 1, begin:end], sums[pair, 2, begin:end]
-            other_light, other_squares = sums[pair, 3, begin:end], sums[pair, 4, begin:end]
+            pixels, light, squares = by_column[pair, 0], by_column[pair, 1], by_column[pair, 2]
+            other_light, other_squares = by_column[pair, 3], by_column[pair, 4]
             for c in range(end - begin):
-                pixels[c] += 1
-                light[c] += here[c]
-                squares[c] += here[c] * here[c]
-                other_light[c] += there[c]
-                other_squares[c] += there[c] * there[c]
+                pixels[begin + c] += 1
+                light[begin + c] += here[c]
+                squares[begin + c] += here[c] * here[c]
+                other_light[begin + c] += there[c]
+                other_squares[begin + c] += there[c] * there[c]
+                by_row[pair, 0, r] += 1
+                by_row[pair, 1, r] += here[c]
+                by_row[pair, 2, r] += here[c] * here[c]
+                by_row[pair, 3, r] += there[c]
+                by_row[pair, 4, r] += there[c] * there[c]
