@@ -12,6 +12,7 @@ from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Frames, Mode
+from napari_elsplus.processing.mosaicing.clarity import Clarity
 from napari_elsplus.processing.mosaicing.deformation import estimate_deformation
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
@@ -182,8 +183,27 @@ class Pipeline:
         """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
         return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
 
-    def insert(self, image: Callable[[], NDArray[np.float32]], pose: Pose, *, always: bool = False) -> Mosaic | None:
-        """Insert an image (side, side) at its pose, made if due or `always`; return its mosaic, or None if lost."""
+    def insert(
+        self,
+        image: Callable[[], NDArray[np.float32]],
+        pose: Pose,
+        *,
+        always: bool = False,
+        clarity: Clarity | None = None,
+    ) -> Mosaic | None:
+        """Insert an image at its pose; return its mosaic, or None if lost.
+
+        Parameters
+        ----------
+        image : callable
+            Makes the image (side, side), if it is due.
+        pose : Pose
+            Where it belongs.
+        always : bool
+            Insert it even if it is not due.
+        clarity : Clarity, optional
+            Measure by which it is weighted, one for all images of a mosaic; unweighted by default.
+        """
         if pose.state is not TrackingState.TRACKED:
             return None
         mosaic = self.mosaics.get(pose.segment)
@@ -191,7 +211,9 @@ class Pipeline:
             store = self._new_store and self._new_store(pose.segment)
             mosaic = self.mosaics[pose.segment] = self.blank_mosaic(store)
         if always or mosaic.due(pose):
-            mosaic.insert(image(), pose.row, pose.col, pose.velocity, pose.angle)
+            made = image()
+            clear = None if clarity is None else clarity.of(made)
+            mosaic.insert(made, pose.row, pose.col, pose.velocity, pose.angle, clear)
         return mosaic
 
     def blank_mosaic(self, store: TileStore | None = None) -> Mosaic:
@@ -277,12 +299,14 @@ class Pipeline:
 
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         last = {self.poses[k].segment: k for k in tracked}.values()
+        covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF
+        clarity = Clarity(self.grid) if covers else None
         for index in progress(tracked):
-            self.insert(partial(image, index), self.poses[index], always=index in last)
+            self.insert(partial(image, index), self.poses[index], always=index in last, clarity=clarity)
         if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
             self.mosaics = {}
             for index in tracked:
-                self.insert(partial(found.undone, index, image(index)), self.poses[index])
+                self.insert(partial(found.undone, index, image(index)), self.poses[index], clarity=clarity)
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""

@@ -142,6 +142,7 @@ class Mosaic(TiledCanvas):
         col: float,
         velocity: Velocity = STILL,
         angle: float = 0.0,
+        clarity: NDArray[np.float32] | None = None,
     ) -> Rectangle:
         """Insert a frame with its centre at (row, col).
 
@@ -155,6 +156,9 @@ class Mosaic(TiledCanvas):
             Velocity of the probe during the frame, pixels per frame period.
         angle : float
             Rotation of the probe in radians, from rows towards columns; a rotated frame is resampled upright first.
+        clarity : numpy.ndarray, optional
+            (side, side) float32 by which the weights of its pixels are multiplied, as of
+            :class:`~napari_elsplus.processing.mosaicing.clarity.Clarity`; all frames of a mosaic have one, or none has.
 
         Returns
         -------
@@ -162,7 +166,7 @@ class Mosaic(TiledCanvas):
             Part of the canvas that may have changed.
         """
         self._newest, self._left_out = (row, col, angle), 0
-        image, footprint = self._placed(image, row, col, velocity, angle)
+        image, footprint = self._placed(image, row, col, velocity, angle, clarity)
         touched = self._extent(row, col, *self._stretch_and_shear(velocity, angle))
         blend = self.insertion is Insertion.FEATHERED
         with self._lock:
@@ -244,10 +248,17 @@ class Mosaic(TiledCanvas):
         return (1.0, 0.0) if angle != 0 else (1 + velocity.row / r, velocity.col / r)
 
     def _placed(
-        self, image: NDArray[np.float32], row: float, col: float, velocity: Velocity, angle: float
+        self,
+        image: NDArray[np.float32],
+        row: float,
+        col: float,
+        velocity: Velocity,
+        angle: float,
+        clarity: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.float32], Arguments]:
         """Return a frame and its footprint; one that is rotated is resampled onto the canvas' own pixels."""
-        weights, centre = self._weights, self.grid.centre
+        weights = self._weights if clarity is None else self._weights * clarity
+        centre = self.grid.centre
         if angle != 0:
             matrix = turned_by(angle) @ unsheared(velocity, self.grid.shutter.line_periods_per_frame)
             onto = round(row - centre[0]) + centre[0], round(col - centre[1]) + centre[1]
