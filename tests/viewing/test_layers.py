@@ -47,8 +47,26 @@ def test_layers_know_their_scale_and_lie_where_they_are_in_the_frame(tmp_path):
     assert provenance["software"].startswith("napari-elsplus")
 
 
+def test_images_of_a_view_that_the_frame_cuts_are_displayed_up_to_their_white(tmp_path):
+    """Before: between 0 and 1, as pixels that were not seen are NaN."""
+    write_calibration(tmp_path / "a.calibration.json", calibration().model_copy(update={"frame": None}))
+    tifffile.imwrite(tmp_path / "a.tif", frames()[:, :, :110])
+    layers = by_name(open_layers(tmp_path / "a.tif"))
+    assert np.isnan(layers["a ELS+"][0][0]).any()
+    whites = {name: attributes["contrast_limits"][1] for name, (_, attributes) in layers.items()}
+    assert whites["a ELS+"] == pytest.approx(100, abs=10)
+    assert 60 <= whites["a residual"] <= 80  # resampling overshoots at the cut
+
+
 def test_one_frame_makes_no_elsa(tmp_path):
     assert list(by_name(open_layers(write_pair(tmp_path, 1)))) == ["scan raw", "scan LS", "scan residual", "scan ELS+"]
+
+
+def test_layers_are_named_after_the_whole_name_of_their_file(tmp_path):
+    """Before: after what precedes the first dot, by which recordings of one day had the same name."""
+    tifffile.imwrite(tmp_path / "2026.01.05 skin.ome.tif", frames())
+    with open_recording(tmp_path / "2026.01.05 skin.ome.tif") as recording:
+        assert Stack.of(recording).name == "2026.01.05 skin"
 
 
 def test_without_a_calibration_there_are_raw_frames_in_pixels(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.io import Recording, existing_beside, read_depths_um
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
+from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.processing.images.sectioning import side_px
 from napari_elsplus.viewing.lazy import LazyPlanes, raw_planes
 from napari_elsplus.viewing.provenance import PROVENANCE
@@ -49,7 +50,6 @@ class Stack:
     @classmethod
     def of(cls, recording: Recording) -> Stack:
         """Return the stack of an open recording, an axial scan if NAME.depths.csv lies beside it."""
-        name = recording.path.name.split(".")[0] or recording.path.name
         depths = existing_beside(recording.path, ".depths.csv")
         depth_um = None if depths is None else read_depths_um(depths)
         if depths is not None and depth_um is not None and len(depth_um) != len(recording):
@@ -57,6 +57,7 @@ class Stack:
                 f"{depths.name} holds {len(depth_um)} depths, {recording.path.name} {len(recording)} frames",
                 "correct the file to one depth per frame, or remove it",
             )
+        name = recording_stem(recording.path.name)
         return cls(name, raw_planes(recording), recording.metadata, recording, depth_um)
 
     @property

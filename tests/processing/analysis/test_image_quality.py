@@ -47,3 +47,12 @@ def test_edge_artefact_is_the_mean_over_its_middle() -> None:
         edge_artefact([])
     with pytest.raises(MeasurementError, match="dark"):
         edge_artefact([np.zeros((150, 150))])
+
+
+def test_pixels_that_were_not_seen_count_neither_for_white_nor_for_contrast() -> None:
+    """Before: NaN, by which images of a view that the frame cuts were displayed between 0 and 1, all white."""
+    image = np.random.default_rng(0).uniform(0, 100, (100, 100))
+    cut = np.where(np.arange(100) < 20, np.nan, image)
+    inside = np.ones(image.shape, bool)
+    assert white_level(cut) == white_level(image[:, 20:])
+    assert contrast(cut, inside) == contrast(image[:, 20:], inside[:, 20:])

@@ -48,6 +48,17 @@ def test_the_compared_images_are_those_that_section_makes() -> None:
         np.testing.assert_array_equal(compared.images[mode], image)
 
 
+def test_a_view_that_the_frame_cuts_is_compared_where_it_was_seen() -> None:
+    """Before: ELSA and ELS+ were NaN as a whole, and drawn as white paper."""
+    comparison = compare(RAW[:, :, :110], CALIBRATION)
+    els = comparison.images[Mode.ELS]
+    assert np.isnan(els[comparison.inside]).any()
+    assert np.nanquantile(els[comparison.inside], 1 - 1e-4) == pytest.approx(1)
+    assert np.isfinite(comparison.contrast(Mode.ELSA).background)
+    drawn = [axes.get_images()[0].get_array() for axes in draw_comparison(comparison).axes if axes.get_images()]
+    assert not any(np.isnan(image).any() for image in drawn)
+
+
 @pytest.mark.parametrize(("frame", "count"), [(2, 3), (-1, 3), (0, 1)])
 def test_elsa_needs_the_next_frame(frame: int, count: int) -> None:
     with pytest.raises(InputError, match=f"frame {frame} and the one after it are needed"):

@@ -31,7 +31,7 @@ def white_level(pixels: NDArray[np.floating], saturated: float = SATURATED_FRACT
     Parameters
     ----------
     pixels : numpy.ndarray
-        Grey levels of the pixels that are counted, any shape.
+        Grey levels, any shape; NaN, of pixels that were not seen, does not count.
     saturated : float
         That fraction.
 
@@ -45,7 +45,8 @@ def white_level(pixels: NDArray[np.floating], saturated: float = SATURATED_FRACT
     >>> round(white_level(np.arange(10_000.0))), white_level(np.arange(2001.0), 1e-3), white_level(np.zeros(0))
     (9998, 1998.0, 1.0)
     """
-    return max(float(np.quantile(pixels, 1 - saturated)), 1e-6) if pixels.size else 1.0
+    seen = pixels[np.isfinite(pixels)]
+    return max(float(np.quantile(seen, 1 - saturated)), 1e-6) if seen.size else 1.0
 
 
 class Scaling(Choice):
@@ -141,7 +142,7 @@ def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast
     image : numpy.ndarray
         (n, n), grey levels.
     inside : numpy.ndarray
-        (n, n) bool, the pixels that are counted.
+        (n, n) bool, the pixels that are counted; those that are NaN, as they were not seen, are left out.
 
     Examples
     --------
@@ -149,7 +150,7 @@ def contrast(image: NDArray[np.floating], inside: NDArray[np.bool_]) -> Contrast
     >>> contrast(stripes, np.ones_like(stripes, bool)).michelson
     0.5
     """
-    background, structure = np.quantile(image[inside], (0.1, 0.9))
+    background, structure = np.nanquantile(image[inside], (0.1, 0.9))
     return Contrast(float(background), float(structure))
 
 

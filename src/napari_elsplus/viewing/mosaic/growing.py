@@ -107,7 +107,7 @@ class GrowingImage:
     @property
     def white_level(self) -> float:
         """Grey level displayed as white."""
-        return white_level(self._coarsest[np.isfinite(self._coarsest)], SATURATED_FRACTION)
+        return white_level(self._coarsest, SATURATED_FRACTION)
 
     @property
     def covered_px(self) -> float:

@@ -142,7 +142,7 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
 
 
 def _draw_image(axes: Axes, comparison: ComparisonFigure, mode: Mode, letter: str) -> None:
-    image = np.where(comparison.inside, comparison.images[mode], 0)
+    image = np.nan_to_num(np.where(comparison.inside, comparison.images[mode], 0))
     axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
     (row, col), (row_end, col_end) = comparison.ends
     axes.plot([col, col_end], [row, row_end], color=COLOURS[mode], linewidth=0.7, linestyle=(0, (5, 4)))
