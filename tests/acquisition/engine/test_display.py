@@ -9,8 +9,12 @@ import pytest
 
 from napari_elsplus.acquisition.engine.display import Display, on_the_heap
 from napari_elsplus.acquisition.engine.engine import Engine
+from napari_elsplus.acquisition.engine.live_images import LiveView
+from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.ring import Layout, Ring
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
+from napari_elsplus.instrument.calibration import Calibration
+from napari_elsplus.processing.images.sectioning import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,3 +75,14 @@ def test_a_galvo_that_is_not_parked_is_said_though_the_display_fails(engine: Eng
     with pytest.raises(OSError, match="a defect"):
         engine.close()
     assert closed == ["galvo"]
+
+
+def test_the_view_can_be_changed_while_the_calibration_does_not_fit(engine: Engine, calibration: Calibration) -> None:
+    """Before: refused for the misfit, and the view of before came back with frames that fit."""
+    engine.use(Calibration.parse({**calibration.content(), "frame": {"shape": [524, 1328], "sensor_origin": [262, 0]}}))
+    engine.configure(Settings("120hz", frame_rate_hz=100.0))
+    engine.show(LiveView(modes=frozenset({Mode.LS})))
+    assert engine.display is not None
+    assert [name for name, *_ in engine.display.layout.fields] == ["raw"]
+    engine.configure(Settings("240hz", frame_rate_hz=100.0))
+    assert [name for name, *_ in engine.display.layout.fields] == ["raw", "ls"]

@@ -6,7 +6,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -327,6 +327,23 @@ def test_other_settings_stop_the_scan_and_the_first_two_frames_are_not_used(
     (first,) = engine.fresh_frames(1)
     assert int(np.ascontiguousarray(first[0, :8]).view(np.int64)[0]) >= 2
     assert engine.status().stale == {}
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_other_settings_do_not_scan_again_where_the_galvo_was_parked(
+    engine: Engine, rig: Any, calibration: Calibration, fails: bool
+) -> None:
+    """Before: the line was back on the tissue by a change of the gain."""
+    engine.use(calibration)
+    engine.start()
+    until(lambda: engine.status().acquired > 3)
+    engine.park()
+    rig.scanner.calls.clear()
+    with pytest.raises(InputError) if fails else nullcontext():
+        engine.configure(Settings("240hz", slit_rows=101 if fails else 5, frame_rate_hz=80.0))
+    until(lambda: engine.status().live and engine.status().processed > 3)
+    assert "scan" not in rig.scanner.calls
+    assert not engine.status().scanning
 
 
 def test_what_other_settings_make_stale_is_said(engine: Engine, calibration: Calibration) -> None:

@@ -78,7 +78,7 @@ class Display:
         self.renew(raw_if_misfit=restoring)
 
     def show(self, view: LiveView | None) -> None:
-        """Make images for a view; None where nobody looks at them.
+        """Make images for a view, none for None; raw frames alone as long as the calibration does not fit.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class Display:
         """
         before, self._view = self._view, view
         try:
-            self.renew()
+            self.renew(raw_if_misfit=self.misfit is not None)
         except BaseException:
             self._view = before
             raise

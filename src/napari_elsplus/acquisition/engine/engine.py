@@ -87,7 +87,7 @@ class Engine(ClosedOnExit):
         self._watcher = Watcher(self._check, self._fail)
 
     def configure(self, settings: Settings) -> None:
-        """Configure camera and timing by settings; a running stream is stopped and started again.
+        """Configure camera and timing by settings; a running stream starts again, and scans if it scanned before.
 
         Raises
         ------
@@ -100,12 +100,13 @@ class Engine(ClosedOnExit):
         """
         with self._changing("the camera's configuration"):
             self.refuse_while_recording()
-            before, live = self.setup.settings if self.setup.configured else None, self._live
+            before = self.setup.settings if self.setup.configured else None
+            live, scan = self._live, self.galvo.scanning
             self._end_run()
             try:
-                self._configure(settings, live)
+                self._configure(settings, live, scan)
             except BaseException:
-                self._restore(before, live)
+                self._restore(before, live, scan)
                 raise
 
     def use(self, calibration: Calibration | None, *, scan: bool = True) -> None:
@@ -337,18 +338,18 @@ class Engine(ClosedOnExit):
             raise
         self._run, self._live, self.setup.settling = run, True, 0
 
-    def _configure(self, settings: Settings, live: bool = False) -> None:
+    def _configure(self, settings: Settings, live: bool = False, scan: bool = False) -> None:
         self.setup.configure(settings)
         self._display.renew(raw_if_misfit=True)
         if live:
-            self.start()
+            self.start(scan=scan)
 
-    def _restore(self, settings: Settings | None, live: bool) -> None:
+    def _restore(self, settings: Settings | None, live: bool, scan: bool) -> None:
         try:
             if settings is None:
                 self.setup.configured = False
             else:
-                self._configure(settings, live)
+                self._configure(settings, live, scan)
         except Exception as error:  # noqa: BLE001 - what is being raised already is the cause
             self._faults.add("camera", error)
             self.setup.configured = False
