@@ -19,7 +19,7 @@ from napari_elsplus.acquisition.link.messages import QUIT, Reply, Request
 from napari_elsplus.acquisition.link.server import Server
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.link.supervision import Supervision
-from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.errors import CancelledError, DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
@@ -108,6 +108,21 @@ def test_a_procedure_that_prepares_names_no_command_and_counts_nothing(rig) -> N
     session.engine.configure(Settings("240hz", frame_rate_hz=100.0))
     with session.procedure("use simulated calibration", time.perf_counter(), activates=True):
         assert str(session.status.progress) == "preparing"
+    session.close()
+
+
+def test_a_procedure_that_is_cancelled_before_it_begins_is_cancelled(rig) -> None:
+    """Before: its beginning forgot the command, and following the slit offset went on without end."""
+    session = Session(lambda _: rig)
+    session.open("small")
+    given_s = time.perf_counter()
+    session.cancel()
+    with session.procedure("the sweep", given_s, activates=False):
+        assert session.cancelled
+        with pytest.raises(CancelledError, match="the sweep was cancelled"):
+            list(session.watch(range(3), "sweep"))
+    with session.procedure("the next one", time.perf_counter(), activates=False):
+        assert not session.cancelled
     session.close()
 
 

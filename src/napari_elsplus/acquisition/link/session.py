@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import contextmanager
 from dataclasses import replace
-from threading import Condition, Event, Lock
+from math import inf
+from threading import Condition, Lock
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from napari_elsplus.acquisition.engine.engine import Engine
@@ -147,7 +149,7 @@ class Session:
     def __init__(self, open_rig: Callable[[str], Rig]) -> None:
         self._open_rig = open_rig
         self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
-        self._cancelled = Event()
+        self._cancelled_s = self._given_s = -inf
         self._progress: ProcedureProgress | None = None
         self._compiling = ""
         self._left = ParkState()
@@ -171,7 +173,7 @@ class Session:
     def close(self) -> None:
         """Close the rig."""
         opened, self._opened = self._opened, None
-        self._cancelled.set()
+        self.cancel()
         if opened is not None:
             rig, engine, mosaic = opened
             engine.close()
@@ -211,11 +213,11 @@ class Session:
     @property
     def cancelled(self) -> bool:
         """True if the procedure that runs was cancelled."""
-        return self._cancelled.is_set()
+        return self._cancelled_s > self._given_s
 
     def cancel(self) -> None:
-        """Cancel the procedure that runs."""
-        self._cancelled.set()
+        """Cancel the procedure that runs, and those that were commanded before."""
+        self._cancelled_s = time.perf_counter()
 
     def _secure(self, fault: DeviceError) -> None:
         """Park and end a recording for a fault."""
@@ -238,7 +240,7 @@ class Session:
         """
         engine, before = self.engine, self.engine.calibration
         with engine.operations.alone(name, long=True, given_s=given_s):
-            self._cancelled.clear()
+            self._given_s = given_s
             self._progress = ProcedureProgress("preparing", 0, 0)
             done = False
             try:
@@ -261,7 +263,7 @@ class Session:
         """Yield the numbers of a step's parts: count them in the status, and end when cancelled."""
         every = list(numbers)
         for done, number in enumerate(every):
-            if self._cancelled.is_set():
+            if self.cancelled:
                 raise CancelledError(f"the {step} was cancelled", "start it again when you like")
             self._progress = ProcedureProgress(step, done, len(every))
             yield number
