@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from contextlib import nullcontext
+from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
@@ -81,6 +82,14 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
     assert "one ramp for every frame" in said[-1]
     for program in rig.bench.card.programs()[before:]:
         assert {*program.samples, program.resting_v} == {rig.scanner.park_v}
+
+
+def test_a_strobe_that_starts_two_ramps_is_not_called_unheard(rig, monkeypatch) -> None:
+    """Before: -120 strobes unheard, and the remedy of a counter that is too slow."""
+    ramps = count(step=2)
+    monkeypatch.setattr(type(rig.scanner), "ramps_begun", property(lambda _: next(ramps)))
+    said = list(first_light.strobe(rig, "120hz", 1.0))
+    assert re.fullmatch(r"\d\d+ ramp\(s\) without a frame: .*", said[-1])
 
 
 def second_order(times_s, natural_hz: float = 1000.0, damping: float = 0.7):

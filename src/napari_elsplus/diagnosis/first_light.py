@@ -235,11 +235,12 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     rig.scanner.park()
     first, last = min(leads[: frames // 4]), min(leads[-frames // 4 :])
     yield f"{frames} frames; ramps begun minus frame number: at first {first}, at last {last}"
-    yield (
-        "one ramp for every frame: the card is started anew by every strobe"
-        if first == last
-        else f"{first - last} strobe(s) unheard: try a longer frame, the other edge (falling), another counter"
-    )
+    if last < first:
+        yield f"{first - last} strobe(s) started no ramp: try a longer frame, the other edge (falling), another counter"
+    elif last > first:
+        yield f"{last - first} ramp(s) without a frame: the strobe bounces, or another signal is on its terminal"
+    else:
+        yield "one ramp for every frame: the card is started anew by every strobe"
 
 
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
