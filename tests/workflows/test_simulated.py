@@ -67,3 +67,16 @@ def test_calibration_frames_are_those_of_the_scenes() -> None:
     np.testing.assert_array_equal(simulated.bundle[0], calibration_scenes.transmission(instrument, seed=6)[0])
     np.testing.assert_array_equal(simulated.background[0], calibration_scenes.dark_tube(instrument, seed=7)[0])
     assert (len(simulated.line), len(simulated.sweep)) == (5, len(simulated.volts))
+
+
+@pytest.mark.parametrize("simulate", [partial(simulate_recording, frames=0), partial(simulate_recording, frames=-1)])
+def test_a_recording_without_frames_is_refused(simulate: Callable[[], SimulatedRecording]) -> None:
+    """Before: a recording whose length raised an error, or of none."""
+    with pytest.raises(InputError, match="give at least 1"):
+        simulate()
+
+
+@pytest.mark.parametrize("depth_um", [[], [0.0, float("nan")], [0.0, float("inf")]])
+def test_a_scan_of_no_depths_or_of_none_that_are_finite_is_refused(depth_um: list[float]) -> None:
+    with pytest.raises(InputError, match="finite depths"):
+        simulate_axial_scan(depth_um=depth_um)

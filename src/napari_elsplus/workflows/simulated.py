@@ -144,9 +144,12 @@ def simulate_recording(
     Raises
     ------
     InputError
-        If there is no such scene or path, the path leaves the scene, or the optics do not fit the camera region.
+        If there is no frame, no such scene or path, the path leaves the scene, or the optics do not fit the camera
+        region.
     """
     Imperfections.require(imperfections)
+    if frames < 1:
+        raise InputError(f"a recording of {frames} frames", "give at least 1")
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
     )
@@ -189,13 +192,20 @@ def simulate_axial_scan(
     -------
     SimulatedRecording
         With `depth_um`.
+
+    Raises
+    ------
+    InputError
+        If there is no depth, or one is not finite, no such line model, or the optics do not fit the camera region.
     """
     Imperfections.require(imperfections)
+    depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
+    if not (depths.size and np.isfinite(depths).all()):
+        raise InputError(f"a scan of {depths.size} depths", "give one or more finite depths in micrometres")
     line = _line_model(state)
     instrument = lit_for_plate(
         Instrument.of("120hz", slit_um=slit_um, offset_um=offset_um, line=line, imperfections=imperfections)
     )
-    depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
     line_rows = steady_line_rows(instrument) if imperfections.moves_galvo else None
     scan = axial_scan(instrument, depths, seed=seed, line_rows=line_rows)
     return _simulated(instrument, seed, {"state": state}, scan.render, scan.count, depths)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -124,3 +124,19 @@ def test_the_command_prints_and_writes_each_value_with_its_uncertainty(
     for name in ("slit_rows", "offset_rows", "signal_kept", "drop_3db_um", "drop_10db_um"):
         assert np.isfinite(content[name])
         assert content[f"{name}_sigma"] >= 0
+
+
+@pytest.mark.parametrize(
+    ("depths", "ls", "problem"),
+    [
+        ([*range(6)], [0.0] * 6, "no LS curve"),
+        ([*range(6)], [1e300] * 6, "no LS curve"),
+        (5.0, 3.0, "no depths or no LS profile"),
+        ([*range(6)], [1.0] * 5, "no depths or no LS profile"),
+        ([*range(6)], [1.0, *[float("nan")] * 5], "measured at 1 depths"),
+    ],
+)
+def test_a_plate_that_no_line_can_be_fitted_to_is_refused(depths: Any, ls: Any, problem: str) -> None:
+    """Before: the errors of numpy and scipy, with a traceback on the command line."""
+    with pytest.raises(InputError, match=problem):
+        calibrated_line(calibrated("a"), {"depth_um": depths, "profiles": {"ls": ls}})

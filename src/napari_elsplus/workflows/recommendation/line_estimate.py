@@ -31,6 +31,9 @@ MODEL_SIGMA: Final = 0.02
 simulated scans, where it is 0.5 % and noise about as much."""
 MAX_PLATE_UM: Final = 300.0
 """Depth to which a measured plate is fitted, micrometres; chosen: the rim of the bundle cuts light beyond."""
+MAX_LS: Final = 10.0
+"""Factor within which the largest value of a plate's LS curve lies about its value in contact, 1; chosen."""
+AXIAL_FILE: Final = "name the JSON that `axial` wrote"
 _FIELDS: Final = ("core_um", "halo_share", "halo_um", "spread", "gap_um")
 
 
@@ -130,27 +133,22 @@ def _fitted(estimate: LineEstimate, plate: Mapping[str, Any], slit_um: float) ->
     try:
         depth_um = np.asarray(plate["depth_um"], np.float64) - float(plate.get("contact_um", 0.0))
         ls = np.asarray(plate["profiles"]["ls"], np.float64)
-    except (KeyError, TypeError, ValueError):
-        raise InputError(
-            "the plate's file has no depths or no LS profile", "name the JSON that `axial` wrote"
-        ) from None
-    used = (
-        (depth_um >= 0) & (depth_um <= MAX_PLATE_UM) & np.isfinite(ls)
-        if len(depth_um) == len(ls)
-        else np.zeros(0, bool)
-    )
-    if np.count_nonzero(used) < 5:
-        raise InputError(
-            f"the plate was measured at {np.count_nonzero(used)} depths up to {MAX_PLATE_UM:g} um", "5 are needed"
-        )
+        used = np.flatnonzero((depth_um >= 0) & (depth_um <= MAX_PLATE_UM) & np.isfinite(ls))
+        depth_um, ls = depth_um[used], ls[used]
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise InputError("the plate's file has no depths or no LS profile", AXIAL_FILE) from None
+    if len(ls) < 5:
+        raise InputError(f"the plate was measured at {len(ls)} depths up to {MAX_PLATE_UM:g} um", "5 are needed")
+    if not 1 / MAX_LS < ls.max() < MAX_LS:
+        raise InputError(f"the plate's file has no LS curve, its largest value is {ls.max():g}", AXIAL_FILE)
 
     def misfit(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
         spread, gap_um, level = parameters
         line = replace(estimate.line, spread=spread, gap_um=gap_um)
-        return np.asarray(level * line_response(depth_um[used] + gap_um, 0.0, slit_um, line) - ls[used])
+        return np.asarray(level * line_response(depth_um + gap_um, 0.0, slit_um, line) - ls)
 
     start = estimate.line
-    level = float(ls[used].max() / line_response(start.gap_um, 0.0, slit_um, start))
+    level = float(ls.max() / line_response(start.gap_um, 0.0, slit_um, start))
     bounds = ([0.02, 0.0, 0.1 * level], [2.0, 100.0, 10 * level])
     found = least_squares(misfit, [start.spread, start.gap_um, level], bounds=bounds, x_scale=[0.1, 10.0, level])
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.mean(found.fun**2)
@@ -159,4 +157,4 @@ def _fitted(estimate: LineEstimate, plate: Mapping[str, Any], slit_um: float) ->
         for k, name in enumerate(("spread", "gap_um"))
     }
     line = replace(start, spread=float(found.x[0]), gap_um=float(found.x[1]))
-    return LineEstimate(line, sigmas, (), float(depth_um[used].max()))
+    return LineEstimate(line, sigmas, (), float(depth_um.max()))
