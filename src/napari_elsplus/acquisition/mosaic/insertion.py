@@ -115,8 +115,8 @@ class LiveInsertion:
         if self._keeps and self.kept.add(found.frame, found.pose, image, mosaic.exposure, always=keep):
             self._inserted[found.frame] = found.place
 
-    def thin(self, corrections: Corrections, lock: AbstractContextManager[Any]) -> bool:
-        """Discard keyframes where there are too many; return True if any were discarded.
+    def thin(self, corrections: Corrections, lock: AbstractContextManager[Any]) -> None:
+        """Discard keyframes where there are too many.
 
         Parameters
         ----------
@@ -126,12 +126,10 @@ class LiveInsertion:
             Held while the store is changed.
         """
         if not self.kept.needs_thinning:
-            return False
-        gone = self.kept.thin(lambda one: corrections.of(one.frame, one.pose), lock)
+            return
+        self.kept.thin(lambda one: corrections.of(one.frame, one.pose), lock)
         with lock:
-            left = {one.frame for one in self.kept.frames}
-            self._inserted = {index: place for index, place in self._inserted.items() if index in left}
-        return gone
+            self._forget_discarded()
 
     def rerender(self, corrections: Corrections, limit_px: float, lock: AbstractContextManager[Any]) -> bool:
         """Re-render the tiles with a frame displaced by more than a limit; return True if there were any.
@@ -187,10 +185,13 @@ class LiveInsertion:
         self._removals += 1
         self.pipeline.mosaics.pop(group, None)
         self.kept.discard(segments)
-        left = {one.frame for one in self.kept.frames}
-        self._inserted = {index: place for index, place in self._inserted.items() if index in left}
+        self._forget_discarded()
 
     # inside
+
+    def _forget_discarded(self) -> None:
+        left = {one.frame for one in self.kept.frames}
+        self._inserted = {index: place for index, place in self._inserted.items() if index in left}
 
     def _displaced(
         self, frames: Sequence[Keyframe], inserted: Sequence[Pose], corrections: Corrections, limit_px: float

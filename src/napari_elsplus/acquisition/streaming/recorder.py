@@ -173,11 +173,11 @@ class Recorder(Thread):
         while not self.full:
             taken = self._cursor.take(_POLL_S)
             if taken is None:
-                if self._stream.ended:
+                if self._stream.ended or self._beyond_end(self._cursor.next):
                     return
                 continue
             frame, stamp = taken
-            if self._stop_before is not None and stamp.sequence >= self._stop_before:
+            if self._beyond_end(stamp.sequence):
                 return
             first = stamp if self._span is None else self._span[0]
             if (
@@ -189,6 +189,10 @@ class Recorder(Thread):
             self._span = first, stamp, len(self._writer)
             self._tally.recorded += 1
             self._tally.skipped("recorder slow", self._cursor.skipped)
+
+    def _beyond_end(self, sequence: int) -> bool:
+        """Return True if the frame of a sequence number came after :meth:`stop`."""
+        return self._stop_before is not None and sequence >= self._stop_before
 
 
 def _remedy(error: OSError, path: Path) -> str:

@@ -1,0 +1,37 @@
+"""The recorder's thread by itself: where a recording ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from napari_elsplus.acquisition.streaming.faults import FaultLog
+from napari_elsplus.acquisition.streaming.recorder import Recorder, RecordingPlan
+from napari_elsplus.acquisition.streaming.stream import FrameStream
+from napari_elsplus.acquisition.streaming.tally import Tally
+from waiting import until
+
+
+def test_a_recording_that_is_stopped_ends_though_no_further_frame_comes(tmp_path: Path) -> None:
+    """Before: with the next frame, which a camera that hangs sends never."""
+    stream, faults = FrameStream((8, 8), frames=16), FaultLog()
+    recorder = Recorder(
+        stream,
+        RecordingPlan(tmp_path / "r.ome.tif"),
+        frame_rate_hz=100.0,
+        calibration=None,
+        settings={},
+        tally=Tally(),
+        faults=faults,
+    )
+    recorder.start()
+    try:
+        for number in range(5):
+            stream.finalize(stream.acquire(), frame_number=number, received_s=0.0, readout_start_s=0.01 * number)
+        until(lambda: recorder.frames == 5)
+        recorder.stop()
+        recorder.join(10)
+        assert not recorder.is_alive()
+    finally:
+        stream.end()
+        recorder.join()
+    assert (recorder.frames, recorder.missing, faults.all()) == (5, 0, ())
