@@ -6,7 +6,6 @@ simulated rig, which is calibrated first.
 
 import sys
 import time
-from pathlib import Path
 
 import napari_elsplus as elsplus
 
@@ -15,7 +14,7 @@ calibration = elsplus.load_calibration(sys.argv[2]) if len(sys.argv) == 3 else N
 
 with elsplus.open_engine(rig, calibration=calibration, preset="240hz") as engine:
     engine.start()
-    engine.record(elsplus.RecordingPlan(Path("live.ome.tif"), seconds=1, force=True))
+    engine.record(elsplus.RecordingPlan("live.ome.tif", seconds=1, force=True))
     while engine.status().recording.running:
         time.sleep(0.1)
     status = engine.status()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
 from napari_elsplus.processing.axial.axial_notes import axial_content
 from napari_elsplus.processing.axial.axial_response import (
@@ -41,7 +41,7 @@ MIN_SCANS_FOR_FIT: Final = 3
 """Distinct offsets, one more than the two parameters of the saturating curve."""
 
 
-class SlitParameter(StrEnum):
+class SlitParameter(Choice):
     """Slit parameter against which drop-offs are plotted."""
 
     OFFSET = "slit offset"

@@ -51,7 +51,7 @@ view = LiveView(
     row_reference={view.row_reference},
 )
 plan = elsplus.RecordingPlan(
-    Path({str(plan.path)!r}), frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s}
+    {str(plan.path)!r}, frames={plan.frames}, seconds={seconds}, earlier_s={plan.earlier_s}
 )
 settings = {asdict(settings)!r}
 with elsplus.open_engine({rig!r}{calibrated}, **settings) as engine:
@@ -67,4 +67,4 @@ print(f"{{status.recorded}} frames, {{status.camera_hz:.0f}} Hz, lost: {{dict(st
         "from napari_elsplus.acquisition.engine.live_images import LiveView",
         "from napari_elsplus.processing.images.cores import CoreFilter",
     )
-    return write_script(f"Record from the rig {rig}.", body, imports, ("import time", "from pathlib import Path"))
+    return write_script(f"Record from the rig {rig}.", body, imports, ("import time",))

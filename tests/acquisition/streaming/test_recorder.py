@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from napari_elsplus.acquisition.streaming.faults import FaultLog
 from napari_elsplus.acquisition.streaming.recorder import Recorder, RecordingPlan
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
+from napari_elsplus.errors import InputError
 from waiting import until
 
 
@@ -35,3 +38,10 @@ def test_a_recording_that_is_stopped_ends_though_no_further_frame_comes(tmp_path
         stream.end()
         recorder.join()
     assert (recorder.frames, recorder.missing, faults.all()) == (5, 0, ())
+
+
+def test_a_plan_takes_the_name_of_a_file() -> None:
+    """Before: the recording began, and whatever asked for it raised an AttributeError."""
+    assert RecordingPlan("r.ome.tif").path == Path("r.ome.tif")
+    with pytest.raises(InputError, match="a path is expected, the number 3 was given"):
+        RecordingPlan(3)  # type: ignore[arg-type]

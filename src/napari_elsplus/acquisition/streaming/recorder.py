@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import errno
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.priority import Rank, join_frame_core
+from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io import RecordingWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from napari_elsplus.acquisition.streaming.faults import FaultLog
     from napari_elsplus.acquisition.streaming.ring import Stamp
@@ -36,7 +37,7 @@ class RecordingPlan:
 
     Parameters
     ----------
-    path : path
+    path : path-like
         The file, NAME.ome.tif.
     frames : int, optional
         Stop after this many frames.
@@ -50,7 +51,7 @@ class RecordingPlan:
     Raises
     ------
     InputError
-        If a limit is not positive.
+        If the path is none, or a limit is not positive.
     """
 
     path: Path
@@ -60,6 +61,8 @@ class RecordingPlan:
     force: bool = False
 
     def __post_init__(self) -> None:
+        require_path(self.path)
+        object.__setattr__(self, "path", Path(self.path))
         for name in ("frames", "seconds"):
             value = getattr(self, name)
             if value is not None and not value > 0:
