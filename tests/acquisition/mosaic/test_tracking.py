@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.mosaic.board import MosaicBoard
 from napari_elsplus.acquisition.mosaic.feed import MosaicFeed
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.acquisition.streaming.ring import Stamp
+from napari_elsplus.errors import InputError
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Pipeline
 from recordings import Truth, record, smooth_path, texture
@@ -89,6 +90,17 @@ def test_frames_that_the_stream_lost_are_told_by_its_numbers() -> None:
         alone.add(frames[k], k, k / 240)
     assert repr(live.pipeline.rows) == repr(alone.rows)
     assert {row.state for row in alone.rows} == {"tracked"}
+
+
+def test_a_stream_whose_first_frame_did_not_fit_begins_with_the_next() -> None:
+    """Before: an IndexError, as the frames of a stream that starts again continue those that were tracked."""
+    frames, calibration = truth().frames, truth().calibration
+    live = LiveTrack(calibration, frames.shape[1:], MosaicPlan())
+    with pytest.raises(InputError, match="all frames of a recording must have one size"):
+        live.add(frames[0][:-8], stamp(5))
+    live.add(frames[0], stamp(2, later_s=2.0))
+    live.add(frames[1], stamp(3, later_s=2.0))
+    assert [(row.frame, round(240 * row.time_s)) for row in live.pipeline.rows] == [(0, 0), (1, 1)]
 
 
 def test_a_stream_that_starts_again_goes_on_counting() -> None:

@@ -123,7 +123,7 @@ class LiveTrack:
             )
         self._board = board
         self._lock = Lock()
-        self._origin: tuple[int, float] | None = None
+        self._origin = 0, 0.0
         self._before: Stamp | None = None
         self._counts: dict[int, Counter[str]] = {}
         self._closed = False
@@ -305,10 +305,11 @@ class LiveTrack:
     def _since_first_frame(self, stamp: Stamp) -> tuple[int, float]:
         """Return frames and seconds since the first frame; a stream that was started again continues them."""
         before, self._before = self._before, stamp
-        if self._origin is None:
+        rows = self.pipeline.rows
+        if before is None or not rows:
             self._origin = stamp.frame_number, stamp.readout_start_s
-        elif before is not None and stamp.frame_number <= before.frame_number:
-            number, time_s = self.pipeline.rows[-1].frame + 1, self.pipeline.rows[-1].time_s
+        elif stamp.frame_number <= before.frame_number:
+            number, time_s = rows[-1].frame + 1, rows[-1].time_s
             pause_s = stamp.received_s - before.received_s
             self._origin = stamp.frame_number - number, stamp.readout_start_s - time_s - pause_s
         return stamp.frame_number - self._origin[0], stamp.readout_start_s - self._origin[1]
