@@ -109,7 +109,7 @@ BENCHMARK = Benchmark(
     chart=Chart.LEVELS,
     remarks=(
         "The Live panel in a napari window, the engine in its process, the simulated rig at 240 Hz. Time is what our "
-        "update of all layers takes: copying out of the ring, telling napari. All else is the processor time of the "
+        "update of all layers takes: copying out of the ring, notifying napari. All else is the processor time of the "
         "window's thread for each image, drawing included. The ticks are those of a timer of 16 ms in the window; Stop "
         "is pressed by the mouse. Where OpenGL is drawn by software, as on a virtual screen, "
         "a large canvas is limited by drawing; the small one leaves that out, and stands for a graphics card."

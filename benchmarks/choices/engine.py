@@ -92,7 +92,7 @@ BENCHMARK = Benchmark(
     chart=Chart.LATENCY,
     remarks=(
         f"The whole live path for {SECONDS:g} s: virtual camera and card, the real drivers, the ring of raw frames, "
-        "sectioning, and the display's ring, which is looked into 60 times a second. Time is the processor time of all "
+        "sectioning, and the display's ring, which is read 60 times a second. Time is the processor time of all "
         "threads of the engine's process for each frame; the simulator, which copies rendered frames to a virtual bus, "
         f"is in it. A busy window is a thread that computes in Python for {1e3 * BUSY_S:g} ms between two looks."
     ),

@@ -188,6 +188,6 @@ BENCHMARK = Benchmark(
         "Time for each frame of 524 x 1328 pixels, first touch of the canvas included; 240 frames per second leave "
         "4167 us. One thread, but for the second row, which is timed by the clock on the wall. Stages are measured one "
         "by one in passes of their own and leave out what lies between them; the search is made once, at the start. "
-        "What the live engine adds is told by `engine`."
+        "What the live engine adds is charted by `engine`."
     ),
 )

@@ -143,6 +143,6 @@ BENCHMARK = Benchmark(
     judge=judge,
     remarks=(
         "Rigs are drawn at random, half of them with a right view that is turned and scaled. All but the first two "
-        "methods are told the column between the views. It is done once, while calibrating."
+        "methods are given the column between the views. It is done once, while calibrating."
     ),
 )

@@ -161,6 +161,6 @@ BENCHMARK = Benchmark(
     seconds=1.0,
     remarks=(
         "Time for each frame, opening and closing included, on this machine's temporary folder; 240 frames per second "
-        "leave 4167 us. A mapped file and zarr must be told the number of frames beforehand, and keep no times."
+        "leave 4167 us. A mapped file and zarr need the number of frames beforehand, and keep no times."
     ),
 )

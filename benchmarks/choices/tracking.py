@@ -149,6 +149,6 @@ BENCHMARK = Benchmark(
     remarks=(
         "Time for each frame. The paper's chain is timed as it is written in OpenCV, and once more with this project's "
         "sectioning before it. PyFibreBundle is timed from finished images of 250 pixels, with its insertion; the "
-        "others from raw frames, without. In the row with loops the mosaic is laid anew."
+        "others from raw frames, without. In the row with loops the mosaic is re-rendered."
     ),
 )

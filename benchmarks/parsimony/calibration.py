@@ -81,7 +81,7 @@ GALVO = Benchmark(
     chart=Chart.PARSIMONY,
     remarks=(
         "The map stays a straight line, as the drive is a ramp; how far a cubic departs from it is measured with every "
-        "sweep, and a departure that is more than chance and more than a tenth of a row is told."
+        "sweep, and a departure that is more than chance and more than a tenth of a row is reported."
     ),
 )
 
@@ -129,5 +129,5 @@ PAIR = Benchmark(
     ),
     judge=judge_pair,
     chart=Chart.PARSIMONY,
-    remarks="The software fits all three and takes the one that the Bayesian information criterion asks for.",
+    remarks="The software fits all three and takes the one that the Bayesian information criterion prefers.",
 )
