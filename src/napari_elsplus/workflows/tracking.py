@@ -66,7 +66,8 @@ class Pipeline:
     mosaics : dict of int to TiledCanvas
         One for each segment.
     line_light : LineLight or None
-        Light of the laser line, as :meth:`finish` estimated it; taken out of its mosaics where it is uneven.
+        Light of the laser line, as :meth:`finish` estimated it, but for ELSA; taken out of its mosaics where it is
+        uneven.
 
     Raises
     ------
@@ -87,12 +88,12 @@ class Pipeline:
         new_store: Callable[[int], TileStore] | None = None,
         tracking: TrackingMethod | None = None,
     ) -> None:
-        registered = tracking_method(method)
-        self._tracking = tracking or registered.factory(calibration, frame_shape, Mode(mode))
+        registered, self._mode = tracking_method(method), Mode(mode)
+        self._tracking = tracking or registered.factory(calibration, frame_shape, self._mode)
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
-        offset = calibration.offset if Mode(mode) in (Mode.ELS, Mode.ELSA) else None
+        offset = calibration.offset if self._mode in (Mode.ELS, Mode.ELSA) else None
         self._line_offset = 0.0 if offset is None else offset.rows / self.grid.binning
         self._weights = np.ones((self.grid.side,) * 2, np.float32)
         self._tapers_rim = registered.tapers_rim
@@ -314,8 +315,11 @@ class Pipeline:
     def _uneven_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.float32] | None:
         """Estimate the light of the laser line, and return it (side, side) if it is uneven.
 
-        Where the line has left the bundle while the residual is read, its haze is left, which does not move.
+        Where the line has left the bundle while the residual is read, its haze is left, which does not move. Not of
+        ELSA: the edges that motion leaves in it move with the probe, as uneven light does.
         """
+        if self._mode is Mode.ELSA:
+            return None
         grid = replace(self.grid, line_offset=self._line_offset)
         self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
