@@ -14,6 +14,7 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
+from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.simulation.specimen.scenes import empty
@@ -51,6 +52,15 @@ def test_without_a_line_the_search_says_so_and_the_calibration_before_stays(cali
             find_span(engine)
         assert not engine.status().live
         assert rig.bench.card.last_volts == pytest.approx(rig.scanner.park_v)
+
+
+def test_a_sweep_by_a_known_galvo_map_stays_within_the_limits_of_the_rig(
+    engine: Engine, calibration, monkeypatch
+) -> None:
+    """Before: a voltage beyond them was commanded and refused, though the first calibration had gone no further."""
+    low, high = live.LiveMeasurement(engine)._span(Draft(calibration))
+    monkeypatch.setattr(engine.galvo, "limits", GalvoLimits(min_v=low + 0.02, max_v=high - 0.01))
+    assert live.LiveMeasurement(engine)._span(Draft(calibration)) == (low + 0.02, high - 0.01)
 
 
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:

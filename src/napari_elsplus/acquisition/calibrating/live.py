@@ -175,13 +175,13 @@ class LiveMeasurement:
         return sum(self._search()) / 2
 
     def _span(self, draft: Draft) -> tuple[float, float]:
-        """Return the voltages that sweep the line over the whole bundle."""
+        """Return the voltages that sweep the line over the whole bundle, within the limits of the rig."""
         known = draft.calibration
         if known.galvo is None or known.bundle is None:
             return self._search()
         centre, reach = known.bundle.confocal_centre[0], SWEEP_REACH * known.bundle.diameter_px
-        first, last = (float(known.galvo.volts(row)) for row in (centre - reach, centre + reach))
-        return min(first, last), max(first, last)
+        limits, ends = self._engine.galvo.limits, [known.galvo.volts(row) for row in (centre - reach, centre + reach)]
+        return max(float(min(ends)), limits.min_v), min(float(max(ends)), limits.max_v)
 
     def _progress_of(self, part: str) -> ProgressWrapper:
         return lambda numbers: self._progress(numbers, part)
