@@ -10,6 +10,7 @@ from matplotlib.text import Text
 
 from napari_elsplus import simulate_calibration
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.calibration_report.report import (
     calibration_numbers,
@@ -45,6 +46,13 @@ def test_it_states_numbers_uncertainties_and_the_date(draft: Draft) -> None:
     assert f"{found.rows:.3f} ± {found.uncertainty_rows:.3f} rows" in offset
     assert "confocal" in offset
     assert "alignment error" in pair
+
+
+def test_it_states_the_timing_as_exactly_as_the_camera_does() -> None:
+    """Before: 1090 line periods per frame of 1089.6."""
+    known = Calibration.parse({"optics": {"line_period_s": 7.648e-6, "rows_per_frame": 1089.6, "um_per_px": 0.96083}})
+    values = {number.quantity: number.value for number in calibration_numbers(known)}
+    assert values == {"line period": "7.648", "line periods per frame": "1089.6", "scale": "0.96083"}
 
 
 def test_each_of_its_colours_is_another() -> None:

@@ -115,7 +115,7 @@ def calibration_numbers(calibration: Calibration) -> list[Number]:
         Complete or not; a section that was not measured has none.
     """
     rows = [
-        Number(one.step, one.name, with_uncertainty(*found) if found[1] else f"{found[0]:.4g}", one.unit)
+        Number(one.step, one.name, with_uncertainty(*found) if found[1] else f"{found[0]:.5g}", one.unit)
         for one in QUANTITIES
         if (found := one.of(calibration)) is not None
     ]
