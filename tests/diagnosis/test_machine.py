@@ -87,6 +87,8 @@ def test_the_shared_memory_of_a_plain_container_is_too_small(monkeypatch: pytest
 
 
 def test_one_core_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    """Before: a program that may use one of several was said to have all of them."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 4 if sys.platform == "linux" else 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3}, raising=False)
     (finding,) = machine.cores()
     assert finding.level is Level.WARNING
