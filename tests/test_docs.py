@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from importlib import import_module
 from pathlib import Path
 
@@ -33,6 +34,19 @@ def test_every_page_is_in_the_navigation_and_in_the_index() -> None:
 def test_links_and_pictures_lead_somewhere(page: str) -> None:
     targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", (DOCS / page).read_text(encoding="utf-8"))
     assert [target for target in targets if "://" not in target and not (DOCS / target).exists()] == []
+
+
+def headings(page: Path) -> set[str]:
+    """The anchors of a page's headings, as Python-Markdown makes them."""
+    found = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = (unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode() for text in found)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", text).strip().lower()) for text in plain}
+
+
+@pytest.mark.parametrize("page", [*PAGES, "../README.md"])
+def test_links_to_a_part_of_a_page_name_a_heading_of_it(page: str) -> None:
+    links = re.findall(r"\]\(([\w/-]*(?:\.md)?)#([\w-]+)\)", (DOCS / page).read_text(encoding="utf-8"))
+    assert [link for link in links if link[1] not in headings((DOCS / page).parent / (link[0] or DOCS / page))] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
