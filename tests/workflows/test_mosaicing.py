@@ -11,10 +11,13 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import OffsetSection
 from napari_elsplus.io import read_track
 from napari_elsplus.processing.images.sectioning import Mode
+from napari_elsplus.processing.mosaicing.line_light import LineLight
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.workflows import tracking
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import MosaicResult, mosaic, track
 from napari_elsplus.workflows.simulated import simulate_recording
+from napari_elsplus.workflows.tracked_stack import TrackedStack
 from recordings import Truth, fibres, record, smooth_path, texture
 
 if TYPE_CHECKING:
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +140,19 @@ def test_even_light_is_left_in_a_mosaic_of_elsa() -> None:
     """Before: up to 13 % were taken out of each of four recordings by hand, whose motion edges move with the probe."""
     recording = simulate_recording(path="hand", speed_um_s=1500, frames=80, seed=1)
     assert mosaic(recording, recording.calibration, "elsa").notes == ()
+
+
+def test_uneven_light_is_taken_out_of_all_image_types(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before: of the tracked one alone, beside which the others kept their ramps."""
+    plan, made = MosaicPlan((Mode.LS, Mode.ELS)), []
+    for relative in (1.0, 2.0):
+
+        def estimate(_image: object, _poses: object, grid: Grid, relative: float = relative) -> LineLight:
+            return LineLight(np.full(grid.side, relative, np.float32), departure=relative - 1, uncertainty=0.0)
+
+        monkeypatch.setattr(tracking, "estimate_line_light", estimate)
+        stack = TrackedStack(truth.frames, truth.calibration, plan)
+        stack.run()
+        made.append({mode: canvases[0].read()[0] for mode, canvases in stack.canvases.items()})
+    for mode in plan.modes:
+        np.testing.assert_allclose(2 * made[1][mode], made[0][mode], rtol=1e-5, atol=1e-3)

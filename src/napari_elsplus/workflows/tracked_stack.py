@@ -167,6 +167,8 @@ class TrackedStack:
         self._shown = self.canvases  # displayed until the re-rendered ones are complete
         self.lead.finish(self._pairs, progress)
         self._followers = {mode: self._pipeline(mode) for mode in self._followers}
+        for follower in self._followers.values():
+            follower.line_light = self.lead.line_light
         if self._followers:
             for index in progress(range(len(self._pairs))):
                 self._follow(self.lead.poses[index], self._pairs.frame(index))

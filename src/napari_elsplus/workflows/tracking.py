@@ -66,8 +66,8 @@ class Pipeline:
     mosaics : dict of int to TiledCanvas
         One for each segment.
     line_light : LineLight or None
-        Light of the laser line, as :meth:`finish` estimated it, but for ELSA; taken out of its mosaics where it is
-        uneven.
+        Light of the laser line, as :meth:`finish` estimates it, but for ELSA; taken out of raw frames that are
+        inserted from then on where it is uneven.
 
     Raises
     ------
@@ -178,7 +178,7 @@ class Pipeline:
 
     def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert a raw frame at a pose that the pipeline of another mode has estimated; others as of :meth:`add`."""
-        self.insert(lambda: self.image(raw, raw_residual), pose)
+        self.insert(lambda: self._evenly_lit(self.image(raw, raw_residual)), pose)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
         """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
@@ -292,11 +292,15 @@ class Pipeline:
             Wraps the indices of the frames that are inserted; a progress bar, for instance.
         """
         self.refine(raw_pair)
-        self.mosaics, light = {}, self._uneven_light(raw_pair)
+        self.mosaics = {}
+        self._estimate_light(raw_pair)
 
         def image(index: int) -> NDArray[np.float32]:
-            made = self.image(*raw_pair(index))
-            return made if light is None else made / light
+            return self._evenly_lit(self.image(*raw_pair(index)))
+
+        def undeformed(index: int) -> NDArray[np.float32]:
+            assert found is not None
+            return found.undone(index, image(index))
 
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         last = {self.poses[k].segment: k for k in tracked}.values()
@@ -307,22 +311,29 @@ class Pipeline:
         if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
             self.mosaics = {}
             for index in tracked:
-                self.insert(partial(found.undone, index, image(index)), self.poses[index], clarity=clarity)
+                self.insert(partial(undeformed, index), self.poses[index], always=index in last, clarity=clarity)
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
 
-    def _uneven_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> NDArray[np.float32] | None:
-        """Estimate the light of the laser line, and return it (side, side) if it is uneven.
+    def _estimate_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
+        """Estimate the light of the laser line.
 
         Where the line has left the bundle while the residual is read, its haze is left, which does not move. Not of
         ELSA: the edges that motion leaves in it move with the probe, as uneven light does.
         """
-        if self._mode is Mode.ELSA:
-            return None
-        grid = replace(self.grid, line_offset=self._line_offset)
-        self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
+        if self._mode is not Mode.ELSA:
+            grid = replace(self.grid, line_offset=self._line_offset)
+            self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
+
+    @property
+    def _light(self) -> NDArray[np.float32] | None:
+        """Relative light of the laser line (side, side) where it is uneven."""
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
+
+    def _evenly_lit(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return an image (side, side) freed of uneven light of the laser line."""
+        return image if self._light is None else image / self._light
 
     @property
     def _scales(self) -> tuple[float, float]:

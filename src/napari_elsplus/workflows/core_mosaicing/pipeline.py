@@ -107,7 +107,6 @@ class CorePipeline(Pipeline):
         self._core_weights = (view.cores.weights * self._weights[self._at] * within).astype(np.float32)
         self._gains = np.ones(len(view.cores), np.float32)
         self._exposures: dict[int, float] = {}
-        self._light: NDArray[np.float32] | None = None
         self._smoothness = 0.0
 
     @property
@@ -143,7 +142,7 @@ class CorePipeline(Pipeline):
         self.refine(raw_pair)
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         self._require_motion([self.poses[k] for k in tracked])
-        self._light = self._uneven_light(raw_pair)
+        self._estimate_light(raw_pair)
         kept = _KEPT_BYTES // (4 * len(self._view.cores)) if self._max_refinements else 0
         read = lru_cache(maxsize=kept)(lambda index: self._read(*raw_pair(index)))
         self._insert_all(read, progress(tracked))
@@ -190,7 +189,7 @@ class CorePipeline(Pipeline):
     def _corrected(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return values of the cores (m,) float32 freed of their refined gains and of uneven light."""
         values = values * self._gains
-        return values if self._light is None else values / self._light[self._at[1]]
+        return values if self._light is None else values / self._light[self._at]
 
     def _places(self, pose: Pose) -> NDArray[np.float64]:
         """Return the places of the cores (m, 2) on the mosaic, freed of what the rolling shutter did to the frame."""
