@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import warnings
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,3 +157,16 @@ def test_uneven_light_is_taken_out_of_all_image_types(truth: Truth, monkeypatch:
         made.append({mode: canvases[0].read()[0] for mode, canvases in stack.canvases.items()})
     for mode in plan.modes:
         np.testing.assert_allclose(2 * made[1][mode], made[0][mode], rtol=1e-5, atol=1e-3)
+
+
+def test_deformation_is_undone_in_all_image_types(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before: in the tracked one alone, with which the others did not agree in place."""
+    plan, made = MosaicPlan((Mode.LS, Mode.ELS)), []
+    for factor in (1, 2):
+        found = SimpleNamespace(undone=lambda _index, image, factor=factor: factor * image)
+        monkeypatch.setattr(tracking, "estimate_deformation", lambda *_, found=found: found)
+        stack = TrackedStack(truth.frames, truth.calibration, plan)
+        stack.run()
+        made.append({mode: canvases[0].read()[0] for mode, canvases in stack.canvases.items()})
+    for mode in plan.modes:
+        np.testing.assert_allclose(made[1][mode], 2 * made[0][mode], rtol=1e-5, atol=1e-3)

@@ -14,7 +14,7 @@ from napari_elsplus.processing.calibration.bundle.agreement import agreement_not
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.tracking.methods import RegistrationTracking
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -150,7 +150,7 @@ class TrackedStack:
                 lead.skip(pairs.lost_before(index))
                 lead.add(raw, pairs.frame(index), self._time_s(index), raw_residual)
                 self.rows.append(lead.rows[-1])
-                self._follow(lead.poses[-1], pairs.frame(index))
+                self._follow(index)
             return
         images = tracking_images(lead, map(pairs, indices), len(pairs), threads=threads)
         with closing(iter(images)) as coming:
@@ -168,10 +168,10 @@ class TrackedStack:
         self.lead.finish(self._pairs, progress)
         self._followers = {mode: self._pipeline(mode) for mode in self._followers}
         for follower in self._followers.values():
-            follower.line_light = self.lead.line_light
+            follower.line_light, follower.deformation = self.lead.line_light, self.lead.deformation
         if self._followers:
             for index in progress(range(len(self._pairs))):
-                self._follow(self.lead.poses[index], self._pairs.frame(index))
+                self._follow(index)
         for follower in self._followers.values():
             follower.complete()
         self.rows, self._shown = TrackTable(self.lead.rows), None
@@ -208,16 +208,17 @@ class TrackedStack:
             notes.append(UNLINKED)
         return notes
 
-    def _follow(self, pose: Pose, frame: int) -> None:
-        """Insert a frame into the mosaics of the modes that are not tracked."""
+    def _follow(self, index: int) -> None:
+        """Insert a frame into the mosaics of the modes that are not tracked, by its index in the track."""
+        pose, frame = self.lead.poses[index], self._pairs.frame(index)
         if pose.state is not TrackingState.TRACKED:
             return
         confocal, residual = elsa_pair(frame)
         for mode, follower in self._followers.items():
             if mode is not Mode.ELSA:
-                follower.insert_raw(pose, self._frames[frame])
+                follower.insert_raw(pose, index, self._frames[frame])
             elif frame == confocal and residual < len(self._frames):
-                follower.insert_raw(pose, self._frames[confocal], self._frames[residual])
+                follower.insert_raw(pose, index, self._frames[confocal], self._frames[residual])
 
     def _pipeline(self, mode: Mode) -> Pipeline:
         if self._finished:

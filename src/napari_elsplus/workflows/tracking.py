@@ -13,14 +13,14 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.clarity import Clarity
-from napari_elsplus.processing.mosaicing.deformation import estimate_deformation
+from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -68,6 +68,8 @@ class Pipeline:
     line_light : LineLight or None
         Light of the laser line, as :meth:`finish` estimates it, but for ELSA; taken out of raw frames that are
         inserted from then on where it is uneven.
+    deformation : Deformation or None
+        Deformation of the tissue in each frame, as :meth:`finish` estimates it; taken out in the same way.
 
     Raises
     ------
@@ -103,6 +105,7 @@ class Pipeline:
         self.poses: list[Pose] = []
         self.mosaics: dict[int, TiledCanvas] = {}
         self.line_light: LineLight | None = None
+        self.deformation: Deformation | None = None
 
     @property
     def grid(self) -> Grid:
@@ -176,9 +179,9 @@ class Pipeline:
         self.poses.append(pose)
         self.rows.append(self._row(pose, frame, time_s))
 
-    def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
-        """Insert a raw frame at a pose that the pipeline of another mode has estimated; others as of :meth:`add`."""
-        self.insert(lambda: self._evenly_lit(self.image(raw, raw_residual)), pose)
+    def insert_raw(self, pose: Pose, index: int, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
+        """Insert a raw frame at the pose of its `index` that the pipeline of another mode estimated; as :meth:`add`."""
+        self.insert(lambda: self._corrected(self.image(raw, raw_residual), index), pose)
 
     def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
         """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
@@ -292,26 +295,25 @@ class Pipeline:
             Wraps the indices of the frames that are inserted; a progress bar, for instance.
         """
         self.refine(raw_pair)
-        self.mosaics = {}
+        self.deformation = None
         self._estimate_light(raw_pair)
-
-        def image(index: int) -> NDArray[np.float32]:
-            return self._evenly_lit(self.image(*raw_pair(index)))
-
-        def undeformed(index: int) -> NDArray[np.float32]:
-            assert found is not None
-            return found.undone(index, image(index))
-
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         last = {self.poses[k].segment: k for k in tracked}.values()
         covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF
         clarity = Clarity(self.grid) if covers else None
-        for index in progress(tracked):
-            self.insert(partial(image, index), self.poses[index], always=index in last, clarity=clarity)
-        if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
+
+        def image(index: int) -> NDArray[np.float32]:
+            return self._corrected(self.image(*raw_pair(index)), index)
+
+        def insert_all(indices: Iterable[int]) -> None:
             self.mosaics = {}
-            for index in tracked:
-                self.insert(partial(undeformed, index), self.poses[index], always=index in last, clarity=clarity)
+            for index in indices:
+                self.insert(partial(image, index), self.poses[index], always=index in last, clarity=clarity)
+
+        insert_all(progress(tracked))
+        if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
+            self.deformation = found
+            insert_all(tracked)
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
@@ -331,9 +333,10 @@ class Pipeline:
         """Relative light of the laser line (side, side) where it is uneven."""
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
 
-    def _evenly_lit(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return an image (side, side) freed of uneven light of the laser line."""
-        return image if self._light is None else image / self._light
+    def _corrected(self, image: NDArray[np.float32], index: int) -> NDArray[np.float32]:
+        """Return the image (side, side) of a frame freed of uneven light of the laser line and of deformation."""
+        lit = image if self._light is None else image / self._light
+        return lit if self.deformation is None else self.deformation.undone(index, lit)
 
     @property
     def _scales(self) -> tuple[float, float]:

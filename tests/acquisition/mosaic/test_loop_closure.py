@@ -147,9 +147,9 @@ def test_modes_side_by_side_are_those_of_the_recording(looks: Look) -> None:
     for k, frame in enumerate(frames):
         pipelines[Mode.ELS].add(frame, k)
         pose = pipelines[Mode.ELS].poses[-1]
-        pipelines[Mode.LS].insert_raw(pose, frame)
+        pipelines[Mode.LS].insert_raw(pose, k, frame)
         if k % 2 == 0 and k + 1 < len(frames):
-            pipelines[Mode.ELSA].insert_raw(pose, frame, frames[k + 1])
+            pipelines[Mode.ELSA].insert_raw(pose, k, frame, frames[k + 1])
     for image, pipeline in enumerate(pipelines.values()):
         mosaic = pipeline.mosaics[0]
         np.testing.assert_array_equal(looks.feed.canvases[image][0].read(mosaic.extent)[0], mosaic.read()[0])

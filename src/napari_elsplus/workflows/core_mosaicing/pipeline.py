@@ -119,13 +119,13 @@ class CorePipeline(Pipeline):
     ) -> TrackPoint:
         """Track a raw frame and insert its cores; parameters as of :meth:`Pipeline.add`."""
         row = self.track(raw, frame, time_s, raw_residual)
-        self.insert_raw(self.poses[-1], raw, raw_residual)
+        self.insert_raw(self.poses[-1], len(self.poses) - 1, raw, raw_residual)
         return row
 
-    def insert_raw(self, pose: Pose, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
-        """Insert the cores of a raw frame at a pose; others as of :meth:`Pipeline.add`."""
+    def insert_raw(self, pose: Pose, index: int, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
+        """Insert the cores of a raw frame at the pose of its `index`; others as of :meth:`Pipeline.add`."""
         values = self._read(raw, raw if raw_residual is None else raw_residual)
-        self._insert_cores(pose, self._corrected(values))
+        self._insert_cores(pose, self._freed(values))
 
     def finish(
         self,
@@ -173,7 +173,7 @@ class CorePipeline(Pipeline):
         """Insert frames, whose cores are read by their index, into fresh mosaics."""
         self.mosaics = {}
         for index in indices:
-            self._insert_cores(self.poses[index], self._corrected(read(index)), self._exposures.get(index, 1.0))
+            self._insert_cores(self.poses[index], self._freed(read(index)), self._exposures.get(index, 1.0))
 
     def _insert_cores(self, pose: Pose, values: NDArray[np.float32], exposure: float = 1.0) -> None:
         if pose.state is not TrackingState.TRACKED:
@@ -186,7 +186,7 @@ class CorePipeline(Pipeline):
         """Return the values of the cores (m,) float32 in a frame."""
         return self._view.cores.read(self._view.image(raw, raw_residual))
 
-    def _corrected(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _freed(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return values of the cores (m,) float32 freed of their refined gains and of uneven light."""
         values = values * self._gains
         return values if self._light is None else values / self._light[self._at]
@@ -222,7 +222,7 @@ class CorePipeline(Pipeline):
         farthest = 0.0
         gains, cell = CoreGains(len(self._view.cores)), self._cell_px / self._tracking.scale
         for index in tracked:
-            pose, values = self.poses[index], self._corrected(read(index))
+            pose, values = self.poses[index], self._freed(read(index))
             places = self._places(pose)
             part = _around(places)
             expected = seen_through(self.mosaics[pose.segment], part, SPOT_PITCHES * CELLS_PER_PITCH)
