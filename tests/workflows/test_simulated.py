@@ -72,7 +72,7 @@ def test_calibration_frames_are_those_of_the_scenes() -> None:
 @pytest.mark.parametrize("simulate", [partial(simulate_recording, frames=0), partial(simulate_recording, frames=-1)])
 def test_a_recording_without_frames_is_refused(simulate: Callable[[], SimulatedRecording]) -> None:
     """Before: a recording whose length raised an error, or of none."""
-    with pytest.raises(InputError, match="a recording of (0|-1) frames"):
+    with pytest.raises(InputError, match=r"a recording of (0|-1) frames"):
         simulate()
 
 
