@@ -1,10 +1,11 @@
-"""Reading and writing at an offset, and past the system's memory, which Python's files do not offer."""
+"""Room on a disk; reading and writing at an offset, and past the system's memory, which Python's files do not offer."""
 
 from __future__ import annotations
 
 import errno
 import mmap
 import os
+import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
@@ -26,6 +27,34 @@ BLOCK_BYTES: Final = 16 << 20
 the disk waits for a thread to wake, in 8.8 with 8, and in 8.5 with 12 and 16 (medians of six)."""
 _MOVING: Final = Lock()
 """Held while a file's position is moved and read from, where the system cannot read at an offset."""
+
+
+def require_room(path: Path, nbytes: float) -> None:
+    """Raise the error of a full disk before anything is written that does not fit on it.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file that will be written, in an existing folder.
+    nbytes : float
+        Bytes that will be written into it.
+
+    Raises
+    ------
+    OSError
+        ENOSPC, if fewer are free.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> require_room(Path("els.ome.tif"), 1e21)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    OSError: [Errno 28] 1000000000000.0 GB do not fit into the ... GB that are free on its disk: 'els.ome.tif'
+    """
+    free = shutil.disk_usage(path.parent).free
+    if nbytes > free:
+        problem = f"{min(nbytes, 1e30) / 1e9:.1f} GB do not fit into the {free / 1e9:.1f} GB that are free on its disk"
+        raise OSError(errno.ENOSPC, problem, str(path))
 
 
 def read_at(file: io.FileIO, place: int, out: NDArray[Any]) -> None:

@@ -24,6 +24,7 @@ from napari_elsplus.io import (
 )
 from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.registry import format_to_write
+from napari_elsplus.io.formats.source import MAX_FRAMES
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
@@ -144,12 +145,12 @@ def simulate_recording(
     Raises
     ------
     InputError
-        If there is no frame, no such scene or path, the path leaves the scene, or the optics do not fit the camera
-        region.
+        If there are no frames, or more than can be read; there is no such scene or path; the path leaves the scene; or
+        the optics do not fit the camera region.
     """
+    if not 1 <= frames <= MAX_FRAMES:
+        raise InputError(f"a recording of {frames} frames", f"give 1 to {MAX_FRAMES}, which can be read")
     Imperfections.require(imperfections)
-    if frames < 1:
-        raise InputError(f"a recording of {frames} frames", "give at least 1")
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
     )

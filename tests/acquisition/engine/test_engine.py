@@ -102,6 +102,16 @@ def test_a_recording_ends_by_frames_and_by_seconds(engine: Engine, tmp_path: Pat
         assert len(recording) == 20
 
 
+@pytest.mark.parametrize("limit", [{"frames": 10**12}, {"seconds": 1e12}])
+def test_a_recording_that_does_not_fit_on_the_disk_is_refused(
+    engine: Engine, tmp_path: Path, limit: dict[str, Any]
+) -> None:
+    engine.start()
+    with pytest.raises(OSError, match=r"do not fit into the .* GB that are free on its disk"):
+        engine.record(RecordingPlan(tmp_path / "r.ome.tif", **limit))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_recording_can_begin_before_it_was_asked_for(engine: Engine, tmp_path: Path) -> None:
     engine.start()
     until(lambda: engine.status().acquired >= 50)

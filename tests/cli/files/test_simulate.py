@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_volts
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.simulated import simulate_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -183,3 +185,16 @@ def test_a_scene_or_a_path_that_is_read_is_not_overwritten(elsplus: Elsplus, tmp
     assert run.code == 2
     assert "is read, and would be overwritten" in run.err
     assert scene.read_bytes() == before
+
+
+def test_more_frames_than_the_disk_holds_are_refused_before_the_work(elsplus: Elsplus, tmp_path: Path) -> None:
+    run = elsplus("simulate", "recording", "--frames", 99999999999, "-o", tmp_path / "r.ome.tif")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "r.ome.tif: 69587200.0 GB do not fit into the" in run.err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("frames", [0, 99999999999])
+def test_a_number_of_frames_that_cannot_be_read_is_refused(frames: int) -> None:
+    with pytest.raises(InputError, match=f"a recording of {frames} frames: give 1 to 10000000"):
+        simulate_recording(frames=frames)

@@ -174,6 +174,12 @@ def test_the_calibration_is_not_overwritten_by_the_report_even_if_forced(
         (["--seconds", "1", "--record", "r.raw"], "r.raw has a suffix that cannot be written: let it end in .ome.tif"),
         (["--seconds", "nan"], "--seconds is nan"),
         (["--seconds", "inf"], "--seconds is inf"),
+        (["--seconds", "1e12"], "--seconds is 1e+12: give at most 9.22e+09"),
+        (
+            ["--seconds", "1e9", "--track", "t.csv"],
+            "--seconds 1e+09 at 240 Hz are 2.4e+11 frames: give at most 41667",
+        ),
+        (["--seconds", "1e8", "--record", "r.ome.tif"], "r.ome.tif: 16700928.0 GB do not fit into the"),
         (["--seconds", "1", "--record", ""], "name of a file or folder is empty"),
     ],
 )

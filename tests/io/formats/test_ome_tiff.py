@@ -101,3 +101,10 @@ def test_a_mosaic_has_a_pyramid_and_its_scale(tmp_path):
         write_mosaic(tmp_path / "m.png", mosaic)
     with pytest.raises(InputError, match="mosaic has shape"):
         write_mosaic(tmp_path / "n.ome.tif", mosaic[None])
+
+
+def test_images_that_do_not_fit_on_the_disk_are_refused_before_they_are_written(tmp_path):
+    with pytest.raises(OSError, match=r"43560.0 GB do not fit into the .* GB that are free on its disk") as refused:
+        write_images(tmp_path / "els.tif", iter(IMAGES), count=10**10)
+    assert refused.value.filename == str(tmp_path / "els.tif")
+    assert not list(tmp_path.iterdir())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from dataclasses import dataclass
+from math import inf, isfinite, prod
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.priority import Rank, join_frame_core
 from napari_elsplus.instrument.arguments import require_path
-from napari_elsplus.io import RecordingWriter
+from napari_elsplus.io import RecordingWriter, refuse_existing
+from napari_elsplus.io.disk import require_room
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -95,6 +97,8 @@ class Recorder(Thread):
     ------
     InputError
         If the file exists and may not be replaced, or its folder is missing.
+    OSError
+        If what the plan's limits allow does not fit on the disk.
     """
 
     def __init__(
@@ -112,6 +116,10 @@ class Recorder(Thread):
         self.plan = plan
         self._tally, self._faults = tally, faults
         self._stream = stream
+        frames = min(plan.frames or inf, (plan.seconds or inf) * frame_rate_hz)
+        if isfinite(frames):
+            refuse_existing(plan.path, force=plan.force)
+            require_room(plan.path, frames * prod(stream.frame_shape))
         # joined first: frames from before the start leave the memory while a slow disk makes the file
         self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz), batch=_BATCH)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,9 +132,11 @@ def recording(
     output: Path, force: bool,
 ) -> None:  # fmt: skip
     """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
+    from napari_elsplus.io.disk import require_room
     from napari_elsplus.workflows.simulated import simulate_recording
 
     _refuse(output, force=force, inputs=[Path(name) for name in (scene_name, path_name) if Path(name).is_file()])
+    require_room(output, frames * prod(PRESETS[preset].frame_shape))
     simulated = simulate_recording(
         preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
         frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import time
 from contextlib import ExitStack
+from threading import TIMEOUT_MAX
 from typing import TYPE_CHECKING
 
 import click
@@ -73,6 +74,7 @@ def command(
     from napari_elsplus.acquisition.live_engine import live_engine
     from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.io import beside, read_calibration, refuse_suffix, write_json
+    from napari_elsplus.io.disk import require_room
     from napari_elsplus.io.formats.registry import format_to_write
     from napari_elsplus.io.recorder import RECORDING_SUFFIXES
 
@@ -83,10 +85,16 @@ def command(
         refuse_suffix(record, *RECORDING_SUFFIXES)
     if mosaic is not None:
         format_to_write(mosaic)
+    if seconds > TIMEOUT_MAX:
+        raise InputError(f"--seconds is {seconds:g}", f"give at most {TIMEOUT_MAX:.3g}, which a clock counts")
     keep_pace()
     given = None if calibration is None else read_calibration(calibration)
     with ExitStack() as held:
         rig, engine = held.enter_context(live_engine(rig_name, Settings(preset, slit_rows, rate_hz)))
+        if record is not None:
+            require_room(record, seconds * engine.setup.bytes_per_s)
+        if record is not None or mosaic is not None or track is not None:
+            _refuse_more_than_kept(seconds, engine.setup.frame_rate_hz)
         if given is not None:
             engine.use(given)
         else:
@@ -129,6 +137,17 @@ def command(
         raise DeviceError(parking.message, "keep it off until the galvo is parked")
     if status.faults:
         raise InputError(status.faults[0].problem, status.faults[0].remedy)
+
+
+def _refuse_more_than_kept(seconds: float, rate_hz: float) -> None:
+    """Refuse a run of more frames than a recording that can be read, a track or a mosaic may have."""
+    from napari_elsplus.io.formats.source import MAX_FRAMES
+
+    if seconds * rate_hz > MAX_FRAMES:
+        raise InputError(
+            f"--seconds {seconds:g} at {rate_hz:g} Hz are {seconds * rate_hz:.3g} frames",
+            f"give at most {MAX_FRAMES / rate_hz:.0f} s, or keep neither recording, mosaic nor track",
+        )
 
 
 def _stream(engine: Engine, seconds: float) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io.disk import SpanWriter
+from napari_elsplus.io.disk import SpanWriter, require_room
 from napari_elsplus.io.formats import ome_xml as ome
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def allocate_stack(path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any]
     import tifffile
 
     pixel_bytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    require_room(path, pixel_bytes)
     with tifffile.TiffWriter(path, bigtiff=pixel_bytes > MAX_CLASSIC_BYTES) as writer:
         writer.write(shape=shape, dtype=dtype, contiguous=True, **_PAGE)
     ome.put_into_first_page(path, shape, dtype, metadata)
