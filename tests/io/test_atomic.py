@@ -7,7 +7,7 @@ import os
 import pytest
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import replacing
+from napari_elsplus.io import refuse_existing, replacing
 from napari_elsplus.io.atomic import in_folder, real_path, remove_unfinished
 
 
@@ -170,3 +170,17 @@ def test_links_in_a_circle_have_a_path(tmp_path):
     (tmp_path / "a").symlink_to("b")
     (tmp_path / "b").symlink_to("a")
     assert real_path(tmp_path / "a").parent == tmp_path.resolve()
+
+
+@pytest.mark.parametrize("letter", ["a", "é"])
+def test_a_name_as_long_as_a_file_system_takes_is_written(tmp_path, letter):
+    longest = letter * ((255 - len(".ome.tif")) // len(letter.encode())) + ".ome.tif"
+    with replacing(tmp_path / longest) as beside:
+        assert beside.name.endswith(f"{letter}.ome.tif")
+        beside.write_text("whole")
+    assert names(tmp_path) == [longest]
+
+
+def test_a_longer_name_is_refused_before_the_work(tmp_path):
+    with pytest.raises(InputError, match="is a name of 256 bytes: give one of at most 255"):
+        refuse_existing(tmp_path / ("é" * 126 + ".tif"))

@@ -79,3 +79,7 @@ def test_no_calibration_beside(tmp_path):
 )
 def test_names_beside(name, stem):
     assert beside(name, ".depths.csv").name == f"{stem}.depths.csv"
+
+
+def test_a_recording_whose_name_has_no_room_for_that_of_a_calibration_has_none(tmp_path):
+    assert calibration_beside(tmp_path / ("a" * 247 + ".ome.tif")) is None

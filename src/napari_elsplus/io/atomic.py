@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 ZARR_MARKERS = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 """Files by which a folder is a Zarr group or array."""
 
+MAX_NAME_BYTES = 255
+"""Bytes of a file's name; of the file systems of Linux, macOS and Windows."""
+
 
 def real_path(path: str | os.PathLike[str]) -> Path:
     """Return the absolute path of a file without links; also of links in a circle, at which `Path.resolve` fails.
@@ -43,10 +46,12 @@ def refuse_existing(path: str | os.PathLike[str], *, force: bool = False) -> Non
     Raises
     ------
     InputError
-        If it exists and `force` is not given, is a folder or a device, or lies in a folder that does not exist or
-        cannot be written.
+        If its name is too long, it exists and `force` is not given, is a folder or a device, or lies in a folder that
+        does not exist or cannot be written.
     """
     path = Path(path)
+    if (size := len(os.fsencode(path.name))) > MAX_NAME_BYTES:
+        raise InputError(f"{path.name} is a name of {size} bytes", f"give one of at most {MAX_NAME_BYTES}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}", "create it, or name another output")
     if not os.access(path.parent, os.W_OK):
@@ -123,7 +128,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     """
     target = Path(path)
     refuse_existing(target, force=force)
-    beside = target.with_name(f".{token_hex(4)}.{target.name}")
+    beside = target.with_name(f".{token_hex(4)}.{_ending(target.name)}")
     try:
         yield beside
         put_in_place(beside, target)
@@ -176,7 +181,7 @@ def put_in_place(finished: Path, target: Path) -> None:
 def remove_unfinished(*targets: Path) -> None:
     """Remove what processes that were killed have left beside the targets; files of other targets stay."""
     for target in targets:
-        for unfinished in target.parent.glob(f".????????.{escape(target.name)}"):
+        for unfinished in target.parent.glob(f".????????.{escape(_ending(target.name))}"):
             _remove(unfinished)
 
 
@@ -195,6 +200,11 @@ def flush(path: Path) -> None:
         for inside in path.iterdir():
             flush(inside)
         _flush_folder(path)
+
+
+def _ending(name: str) -> str:
+    """Return the end of a name that has room behind a random beginning: all of it, unless it is nearly too long."""
+    return os.fsencode(name)[-MAX_NAME_BYTES + len(".????????.") :].decode(errors="ignore")
 
 
 def _flush_folder(folder: Path) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import FORMAT, Calibration
@@ -11,9 +11,6 @@ from napari_elsplus.io.atomic import real_path
 from napari_elsplus.io.calibrations import MAX_JSON_BYTES, parse_calibration, read_calibration
 from napari_elsplus.io.formats.registry import recording_stem
 from napari_elsplus.io.settings import active_calibration
-
-if TYPE_CHECKING:
-    import os
 
 
 def beside(recording: str | os.PathLike[str], ending: str) -> Path:
@@ -48,7 +45,7 @@ def existing_beside(recording: str | os.PathLike[str], ending: str) -> Path | No
     """
     named = beside(recording, ending)
     candidates = (named, named.with_name(real_path(recording).name + ending))
-    return next((path for path in candidates if path.is_file()), None)
+    return next((path for path in candidates if os.path.isfile(path)), None)  # false of names that are too long
 
 
 def is_calibration(path: str | os.PathLike[str]) -> bool:
@@ -75,7 +72,9 @@ def calibration_beside(recording: str | os.PathLike[str]) -> Path | None:
     named = [existing_beside(recording, ending) for ending in (".calibration.json", ".json")]
     inside = [recording / "calibration.json"] if recording.is_dir() else []
     candidates = [*named, *inside, beside(recording, ".json").with_name("calibration.json")]
-    return next((path for path in candidates if path is not None and path.is_file() and is_calibration(path)), None)
+    return next(
+        (path for path in candidates if path is not None and os.path.isfile(path) and is_calibration(path)), None
+    )
 
 
 def find_calibration(
