@@ -42,6 +42,7 @@ def test_images_that_the_file_has_no_place_for_are_refused(tmp_path: Path, suffi
         fill_images(path, 0, [IMAGES[0, :, 1:]])
     with pytest.raises(IndexError):
         fill_images(path, 6, IMAGES[5:])
+    fill_images(path, 0, np.zeros_like(IMAGES[:6]))
     with open_recording(path) as back:
         np.testing.assert_array_equal(back[6], IMAGES[5])
         assert not back[:6].any()

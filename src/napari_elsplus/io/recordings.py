@@ -45,7 +45,7 @@ class Recording(ClosedOnExit):
         self.shape: tuple[int, int, int] = (source.shape[0], source.shape[1], source.shape[2])
         self.dtype: np.dtype[Any] = source.dtype
         self.metadata: dict[str, Any] = {
-            name: value for name, value in source.metadata.items() if name not in {"calibration", "times_s"}
+            name: value for name, value in source.metadata.items() if name != "calibration"
         }
         self._release = finalize(self, source.close)  # viewers drop recordings without closing them
         self._calibration_text: str | None = source.metadata.get("calibration")
@@ -193,9 +193,10 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     require_path(path)
     path = Path(path)
     with decoding(path), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # what makes a file unreadable is raised; other warnings of decoders do not matter
+        warnings.simplefilter("ignore")  # what makes a file unreadable is raised; decoders' warnings do not matter
         opener = format_to_read(path).opener
         assert opener is not None
-        return Recording(opener(path))
+        source = opener(path)
+    for remark in source.remarks:
+        warnings.warn(remark, stacklevel=2)
+    return Recording(source)

@@ -108,3 +108,37 @@ def test_images_that_do_not_fit_on_the_disk_are_refused_before_they_are_written(
         write_images(tmp_path / "els.tif", iter(IMAGES), count=10**10)
     assert refused.value.filename == str(tmp_path / "els.tif")
     assert not list(tmp_path.iterdir())
+
+
+def with_planes(path, planes):
+    """Write three frames whose planes have these times and places, as other microscopes' software does."""
+    xml = tifffile.OmeXml()
+    xml.addimage("uint8", (3, 33, 33), (3, 1, 1, 33, 33, 1), axes="TYX")
+    written = "".join(f'<Plane TheC="0" TheZ="0" TheT="{t}" DeltaT="{time}"/>' for t, time in planes)
+    document = xml.tostring().replace("</Pixels>", f"{written}</Pixels>")
+    with tifffile.TiffWriter(path) as writer:
+        for k in range(3):
+            description = {"description": document.encode()} if k == 0 else {}
+            writer.write(np.full((33, 33), k, np.uint8), metadata=None, contiguous=False, **description)
+
+
+def test_planes_in_another_order_than_their_frames_have_their_own_times(tmp_path):
+    with_planes(tmp_path / "r.ome.tif", [(0, 0.0), (2, 0.9), (1, 0.4)])
+    with open_recording(tmp_path / "r.ome.tif") as recording:
+        assert recording.times_s.tolist() == [0.0, 0.4, 0.9]
+
+
+@pytest.mark.parametrize(
+    ("planes", "problem"),
+    [
+        ([(0, 0.0), (1, 0.9), (2, 0.4)], "frame 2 is 0.5 s before frame 1"),
+        ([(0, 0.0), (1, 0.9)], "it has 2 for 3 frames"),
+        ([(0, 0.0), (1, "nan"), (2, "late")], "2 of 3 frames have none"),
+    ],
+)
+def test_times_that_cannot_be_used_are_warned_of(tmp_path, planes, problem):
+    with_planes(tmp_path / "r.ome.tif", planes)
+    with pytest.warns(UserWarning, match=rf"the frames' times in r\.ome\.tif are not used, as {problem}: save"):
+        recording = open_recording(tmp_path / "r.ome.tif")
+    with recording:
+        assert recording.times_s is None

@@ -53,3 +53,32 @@ def test_a_mosaic_keeps_the_pixel_size_of_its_calibration(tmp_path: Path) -> Non
     with open_recording(tmp_path / "m.ome.zarr") as back:
         assert back.metadata["um_per_px"] == pytest.approx(2.0)
         assert back.calibration is not None
+
+
+def test_a_frame_whose_chunk_is_lost_is_warned_of(tmp_path: Path) -> None:
+    frames = np.random.default_rng(1).integers(1, 9, (5, 24, 32), np.uint8)
+    write_images(tmp_path / "a.zarr", frames)
+    (tmp_path / "a.zarr" / "0" / "c" / "3" / "0" / "0").unlink()
+    with open_recording(tmp_path / "a.zarr") as recording:
+        np.testing.assert_array_equal(recording[:3], frames[:3])
+        with pytest.warns(UserWarning, match=r"a\.zarr has no file of the pixels of frame 3, .* read as 0: copy it"):
+            assert not recording[3].any()
+
+
+@pytest.mark.parametrize("chunks", [(1, 24, 32), (2, 12, 32)])
+def test_frames_that_other_software_left_out_are_warned_of_once(tmp_path: Path, chunks: tuple[int, ...]) -> None:
+    for version in (2, 3):
+        path = tmp_path / f"{version}.zarr"
+        array = zarr.create_array(path, shape=(5, 24, 32), chunks=chunks, dtype="u1", zarr_format=version)
+        array[0] = 7
+        with open_recording(path) as recording:
+            assert recording[0].all()
+            with pytest.warns(UserWarning, match="of frame 4"):
+                assert not recording[4].any()
+            assert not recording[3].any()
+
+
+def test_black_frames_that_this_software_wrote_are_not_warned_of(tmp_path: Path) -> None:
+    write_images(tmp_path / "a.zarr", np.zeros((3, 24, 32), np.uint8))
+    with open_recording(tmp_path / "a.zarr") as recording:
+        assert not recording[:].any()

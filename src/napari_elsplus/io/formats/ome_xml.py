@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from napari_elsplus import __version__
 from napari_elsplus.instrument.calibration import FORMAT
 from napari_elsplus.io.calibrations import format_calibration
-from napari_elsplus.io.formats.source import ordered_times_s, positive
+from napari_elsplus.io.formats.source import positive
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -101,10 +101,16 @@ def parse(xml: str) -> dict[str, Any]:
     scale = TO_S.get(pixels.get("TimeIncrementUnit", "s"))
     if scale and (period := positive(pixels.get("TimeIncrement"))):
         metadata["frame_period_s"] = period * scale
-    times = ordered_times_s([_delta_s(plane) for plane in pixels.iterfind("{*}Plane")])
-    if times is not None:
-        metadata["times_s"] = times
+    metadata["times_s"] = [_delta_s(plane) for plane in sorted(pixels.iterfind("{*}Plane"), key=_plane_place)]
     return metadata | _annotations(root)
+
+
+def _plane_place(plane: ElementTree.Element) -> tuple[int, ...]:
+    """Return time, plane and channel of a plane of a stack: the order of a document's planes has no meaning."""
+    try:
+        return tuple(int(plane.get(axis, "0")) for axis in ("TheT", "TheZ", "TheC"))
+    except ValueError:
+        return (0,)
 
 
 def _delta_s(plane: ElementTree.Element) -> float | None:

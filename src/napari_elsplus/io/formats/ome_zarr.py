@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,7 +17,7 @@ from napari_elsplus.io.formats.extras import extra_needed
 from napari_elsplus.io.formats.ome_tiff import TILE_PX, pyramid, require_alike
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.io.formats.registry import FileFormat
-from napari_elsplus.io.formats.source import FrameSource, ordered_times_s, positive
+from napari_elsplus.io.formats.source import FrameSource, positive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -56,11 +58,28 @@ class OmeZarr(FrameSource):
         super().__init__(path, (count, *node.shape[-2:]), np.dtype(node.dtype), metadata)
         self._leading = leading
         self._array: Any = node
+        self._absent_warned = False
 
     def frame(self, index: int) -> NDArray[Any]:
         """Return frame `index`, (rows, cols), as stored."""
         place: tuple[Any, ...] = np.unravel_index(index, self._leading) if self._leading else ()
-        return np.asarray(self._array[(*(int(step) for step in place), ...)])
+        image = np.asarray(self._array[(*(int(step) for step in place), ...)])
+        if not self._absent_warned and (image == image[:1, :1]).all() and not self._has_chunks(place):
+            self._absent_warned = True
+            warnings.warn(
+                f"{self.path.name} has no file of the pixels of frame {index}, and perhaps of others, which are read "
+                f"as {image[0, 0]}: copy it again, unless they are black",
+                stacklevel=2,
+            )
+        return image
+
+    def _has_chunks(self, place: tuple[Any, ...]) -> bool:
+        """Return True if a chunk of the frame at a place is in a file; zarr leaves out those of one value."""
+        steps = self._array.shards or self._array.chunks
+        lead = [range(int(at) // step, int(at) // step + 1) for at, step in zip(place, steps, strict=False)]
+        tiles = [range(-(-side // step)) for side, step in zip(self.shape[1:], steps[-2:], strict=True)]
+        keys = (self._array.metadata.encode_chunk_key(chunk) for chunk in product(*lead, *tiles))
+        return any((self.path / self._array.path / key).exists() for key in keys)
 
 
 def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
@@ -82,8 +101,8 @@ def _full_resolution(path: Path, group: Any) -> tuple[Any, dict[str, Any]]:
     if isinstance(notes, dict):
         metadata["settings"] = {name: value for name, value in notes.items() if name not in {"calibration", TIMES}}
         times: Any = notes.get(TIMES)
-        if isinstance(times, list) and all(isinstance(time, int | float) for time in times):
-            metadata["times_s"] = ordered_times_s(times)
+        if isinstance(times, list):
+            metadata["times_s"] = [time if isinstance(time, int | float) else None for time in times]
         if "calibration" in notes:
             metadata["calibration"] = json.dumps(notes["calibration"])
     metadata |= _scales(axes, scale if transforms else ())
@@ -119,7 +138,8 @@ def fill_ome_zarr(path: Path, first: int, images: Images) -> int:
     with extra_needed("zarr", "OME-Zarr images"):
         import zarr
 
-    array: Any = zarr.open_group(path, mode="r+")["0"]
+    with zarr.config.set({"array.write_empty_chunks": True}):  # one that is absent is lost
+        array: Any = zarr.open_group(path, mode="r+")["0"]
     written = 0
     with _finishing() as finishing:
         for image in images:

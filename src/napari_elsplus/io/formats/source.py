@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
-from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,9 +38,14 @@ class FrameSource(ABC):
     dtype : numpy.dtype
         uint8, uint16 or float; floats are returned as float32.
     metadata : dict, optional
-        What the file contains of ``um_per_px``, ``frame_period_s``, ``times_s`` (T values), ``settings`` (a dict),
-        ``software`` and ``calibration`` (JSON text); ``playback``, True if the period is that of playing the file back
-        and not that of the camera.
+        What the file contains of ``um_per_px``, ``frame_period_s``, ``times_s`` (a value per frame, None where there is
+        none), ``settings`` (a dict), ``software`` and ``calibration`` (JSON text); ``playback``, True if the period is
+        that of playing the file back and not that of the camera.
+
+    Attributes
+    ----------
+    remarks : list of str
+        What is wrong with the file although its frames can be read; :func:`napari_elsplus.io.open_recording` warns.
 
     Raises
     ------
@@ -68,6 +72,8 @@ class FrameSource(ABC):
         self.stored_dtype = dtype
         self.dtype = np.dtype(np.float32) if dtype.kind == "f" else dtype.newbyteorder("=")
         self.metadata: dict[str, Any] = metadata or {}
+        self.remarks: list[str] = []
+        self._times_s = self._usable_times_s(self.metadata.pop("times_s", None) or ())
 
     @abstractmethod
     def frame(self, index: int) -> NDArray[Any]:
@@ -105,15 +111,35 @@ class FrameSource(ABC):
 
     def times_s(self) -> NDArray[np.float64] | None:
         """Return the time of each frame in seconds, (T,), or None if the file has none."""
-        times = self.metadata.get("times_s")
-        if times is not None and len(times) == self.shape[0]:
-            return np.asarray(times, np.float64)
+        if self._times_s is not None:
+            return self._times_s.copy()
         period = self.metadata.get("frame_period_s")
         return None if period is None else np.arange(self.shape[0], dtype=np.float64) * float(period)
 
     def frame_numbers(self) -> NDArray[np.int64]:
         """Return the camera's number of each frame, (T,); gaps are dropped frames."""
         return np.arange(self.shape[0], dtype=np.int64)
+
+    def _usable_times_s(self, values: Sequence[float | None]) -> NDArray[np.float64] | None:
+        """Return the times in a file, (T,), if each frame has one that is not before that of the frame before it."""
+        times_s = np.array(values, np.float64)  # None is NaN
+        absent = int((~np.isfinite(times_s)).sum())
+        if absent == len(times_s):
+            return None
+        problem = ""
+        if len(times_s) != self.shape[0]:
+            problem = f"it has {len(times_s)} for {self.shape[0]} frames"
+        elif absent:
+            problem = f"{absent} of {self.shape[0]} frames have none"
+        elif len(back := np.flatnonzero(np.diff(times_s) < 0)):
+            problem = f"frame {back[0] + 1} is {-np.diff(times_s)[back[0]]:.3g} s before frame {back[0]}"
+        if not problem:
+            return times_s
+        self.remarks.append(
+            f"the frames' times in {self.path.name} are not used, as {problem}: save the frames with a time each, in "
+            "their order"
+        )
+        return None
 
     def close(self) -> None:  # noqa: B027 - some formats hold nothing open
         """Close the file."""
@@ -154,10 +180,3 @@ def positive(value: object) -> float | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return number if isfinite(number) and number > 0 else None
-
-
-def ordered_times_s(values: Sequence[float | None]) -> list[float] | None:
-    """Return the times in a file if all `values` are finite and none is before the one that precedes it."""
-    times = [value for value in values if value is not None and isfinite(value)]
-    ordered = bool(times) and len(times) == len(values) and all(a <= b for a, b in pairwise(times))
-    return times if ordered else None

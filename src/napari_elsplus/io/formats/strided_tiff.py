@@ -45,8 +45,7 @@ class StridedTiff(FrameSource):
             following = _word(file, self._ifd + _COUNT + _ENTRY * _word(file, self._ifd)) - self._ifd
             self._stride = following if following > 0 else self._head + frame_bytes
             pages = self._whole_pages(file, size - self._head - frame_bytes)
-        super().__init__(path, (pages, rows, cols), dtype, _metadata(first))
-        self.metadata.pop("times_s", None)  # the pages have them
+        super().__init__(path, (pages, rows, cols), dtype, _metadata(first) | {"times_s": None})  # the pages have them
         self._stored = StoredFrames(path, (rows, cols), dtype, first.dataoffsets[0], self._stride)
         self._stamp = tags[STAMP_TAG].valueoffset
 
