@@ -481,6 +481,30 @@ def write_bad(folder, name):
     return path
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+@pytest.mark.parametrize("name", ["pipe", "pipe.npy", "pipe.tif"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name} is a device or a pipe: name a file"):
+        open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("options", [{"rowsperstrip": 16}, {"tile": (16, 16)}, {"compression": "zlib"}])
+@pytest.mark.parametrize("tags", [("StripOffsets", "TileOffsets"), ("StripByteCounts", "TileByteCounts")])
+def test_a_page_that_lacks_some_of_its_pixels_is_refused_and_not_read_as_black(tmp_path, options, tags):
+    path = tmp_path / "pages.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in np.random.default_rng(3).integers(0, 255, (4, 40, 60), np.uint8):
+            writer.write(frame, contiguous=False, metadata=None, **options)
+    with tifffile.TiffFile(path, mode="r+") as file:
+        tag = next(file.pages[2].tags[name] for name in tags if name in file.pages[2].tags)
+        tag.overwrite((0, *tag.value[1:]))
+    with open_recording(path) as recording:
+        assert recording[1].any()
+        with pytest.raises(InputError, match=r"pages\.tif: frame 2 lacks some of its pixels"):
+            recording[2]
+
+
 @pytest.mark.parametrize("options", [{"compression": "zlib"}, {"contiguous": False}, {"metadata": None}])
 def test_a_tiff_written_frame_by_frame_is_one_stack(tmp_path, options):
     frames = np.random.default_rng(3).integers(0, 255, (7, 40, 60), np.uint8)
@@ -508,7 +532,7 @@ def test_a_cut_tiff_written_frame_by_frame_is_refused(tmp_path):
     {
         "empty.tif": "is empty",
         "empty.avi": "is empty",
-        "empty.npy": "cannot be read",
+        "empty.npy": "is empty",
         "text.tif": "is no TIFF",
         "text.avi": "cannot be decoded",
         "text.npy": "cannot be read",

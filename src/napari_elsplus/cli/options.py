@@ -161,7 +161,7 @@ def refuse_outputs(
             raise InputError(f"{path} holds {held.name}, which is read", "name another file to write")
         folder = next((parent for parent in real.parents if parent in read), None)
         if folder is not None and _is_image(path):
-            raise InputError(f"{path} lies in {folder.name}, which is read, and would be a frame of it", "name another")
+            raise InputError(f"{path} lies in {folder}, which is read, and would be a frame of it", "name another")
         refuse_existing(path, force=force)
         if real in map(real_path, wanted[:index]):
             raise InputError(f"{path} is named twice", "name another file for one of them")

@@ -113,10 +113,8 @@ def open_video(path: Path) -> FrameSource:
     Raises
     ------
     InputError
-        If it is empty, cannot be decoded, or its first frame is in colour.
+        If it cannot be decoded, or its first frame is in colour.
     """
-    if path.stat().st_size == 0:
-        raise InputError(f"{path.name} is empty", "copy or record it again")
     with decoding(path):
         video = Video(path)
         try:

@@ -179,7 +179,7 @@ def format_to_read(path: Path) -> FileFormat:
     Raises
     ------
     InputError
-        If no format reads it.
+        If no format reads it, or it is empty, a device or a pipe.
     OSError
         If there is no such file, or it cannot be read.
     """
@@ -187,7 +187,10 @@ def format_to_read(path: Path) -> FileFormat:
     if path.is_dir():
         marked = next((one for one in readable if one.contains_marker(path)), None)
         return marked or next(one for one in readable if one.folder_markers == ())
-    path.stat()  # a missing file is reported before an unknown format
+    if path.stat().st_size == 0 and path.is_file():  # a missing file is reported before an unknown format
+        raise InputError(f"{path.name} is empty", "copy or record it again")
+    if not path.is_file():
+        raise InputError(f"{path.name} is a device or a pipe", "name a file")
     files = [one for one in readable if not one.is_folder]
     named = next((one for one in files if path.name.lower().endswith(one.suffixes)), None)
     if named is not None:

@@ -99,6 +99,8 @@ class PagedTiff(FrameSource):
             if (part := page.parent.filehandle).closed:  # of a stack in several files; all are closed with the first
                 part.open()
                 part.set_lock(True)
+        if 0 in page.dataoffsets or 0 in page.databytecounts:  # which tifffile reads as black
+            raise InputError(f"{self.path.name}: frame {index} lacks some of its pixels", "copy or record it again")
         image = page.asarray(maxworkers=1)
         if self._planes:
             return image[index, :, :]
@@ -141,7 +143,7 @@ def open_tiff(path: Path) -> FrameSource:
     import tifffile
 
     size = path.stat().st_size
-    if size == 0:
+    if size == 0:  # of a folder's files
         raise InputError(f"{path.name} is empty", "copy or record it again")
     try:
         tiff = tifffile.TiffFile(path)
