@@ -131,3 +131,11 @@ def test_the_active_calibration_is_named_with_what_was_not_measured():
     assert "background not measured" in text
     assert "flat field not measured" in text
     assert "active calibration: none" in status_text(Status(live=True), None, 30.0, busy=False)
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_command_that_waits_is_stated(live):
+    waits = "stop waits for configure, which has not ended for 5 s"
+    status = Status(live=live, waiting=waits)
+    assert waits in status_text(status, None, 30.0, busy=True)
+    assert waits in rig_line("simulated", status)

@@ -138,6 +138,8 @@ class Status:
         Sections of the calibration that are stale, with the reason.
     disagreement : str
         In which way the newest scanned frames contradict the calibration, with the remedy; empty if they do not.
+    waiting : str
+        Which command has not ended for long, and which waits for it; empty if there is none.
     progress : ProcedureProgress, optional
         Of the procedure that runs.
     track : TrackState, optional
@@ -167,6 +169,7 @@ class Status:
     faults: tuple[Fault, ...] = ()
     stale: Mapping[str, str] = field(default_factory=dict)
     disagreement: str = ""
+    waiting: str = ""
     progress: ProcedureProgress | None = None
     track: TrackState | None = None
 

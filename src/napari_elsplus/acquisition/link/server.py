@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Listener
 from threading import Event, Lock, Thread
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.acquisition.calibrating.simulated import open_live
 from napari_elsplus.acquisition.link.commands import COMMANDS, Scheduling, execute
 from napari_elsplus.acquisition.link.messages import QUIT, Activated, Heartbeat, Reply, Request
+from napari_elsplus.acquisition.link.outstanding import OutstandingCommands
 from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.errors import ElsPlusError
@@ -60,6 +62,7 @@ class Server:
         self._ended = Event()
         self._calibration: Calibration | None = None
         self._status_fails = False
+        self._outstanding = OutstandingCommands()
 
     def serve(self) -> None:
         """Execute commands until the connection ends; then close the rig."""
@@ -98,6 +101,7 @@ class Server:
             elif (scheduling := COMMANDS[request.name].scheduling) is Scheduling.IMMEDIATE:
                 self._execute(request, time.perf_counter())
             else:
+                self._outstanding.add(request)
                 (exclusive if scheduling is Scheduling.EXCLUSIVE else others).submit(
                     self._execute, request, time.perf_counter()
                 )
@@ -110,6 +114,8 @@ class Server:
         except Exception as error:  # noqa: BLE001 a defect of ours: the client shall have it, and not wait for ever
             sys.excepthook(type(error), error, error.__traceback__)
             reply = Reply(request.number, error=RuntimeError(f"{type(error).__name__} in {request.name}: {error}"))
+        finally:
+            self._outstanding.remove(request)
         self._send(reply)
 
     def _send_status(self) -> None:
@@ -135,7 +141,7 @@ class Server:
     def _status(self) -> Status | None:
         """Return the status; None where it fails, a defect of ours, which is printed once: replies are sent anyway."""
         try:
-            status = self._session.status
+            status = replace(self._session.status, waiting=self._outstanding.waiting())
         except Exception as error:  # noqa: BLE001 - see above
             if not self._status_fails:
                 sys.excepthook(type(error), error, error.__traceback__)

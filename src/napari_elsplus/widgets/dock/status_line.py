@@ -108,6 +108,8 @@ def rig_line(rig: str | None, status: Status | None) -> str:
         doing += f"; recording {Path(recording.path).name}"
     if status.track is not None and status.track.running:
         doing += "; live mosaic"
+    if status.waiting:
+        doing += f"; {amber(escape(status.waiting))}"
     if status.compiling:
         doing += f"; {compilation_remark(status.compiling)}"
     return f"<b>{rig}</b>: {doing}"

@@ -45,11 +45,13 @@ def status_text(
         return "Connecting..." if busy else next_hint("press Start; it connects to the rig.")
     if status.progress is not None:
         return f"Calibrating: {status.progress}"
+    waiting = [amber(escape(status.waiting))] if status.waiting else []
     if not status.live:
-        begun = ["Starting..." if busy else f"Stopped. {next_hint('press Start.')}", *_recorded(status)]
+        begun = ["Starting..." if busy else f"Stopped. {next_hint('press Start.')}", *waiting, *_recorded(status)]
         return "<br>".join([*begun, *calibration_lines(calibration, calibration_file)])
     lost = ", ".join(f"{count} ({cause})" for cause, count in status.dropped.items()) or "none"
     lines = [
+        *waiting,
         f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
         f"lost: {lost}",
     ]
