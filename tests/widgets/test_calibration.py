@@ -509,6 +509,7 @@ def test_the_report_has_a_page_for_each_measured_step(panel, qtbot, open_recordi
     from_file(qtbot, panel, "offset", open_recording / "line.tif")
     panel.form.accept.click()
     panel.save_report(tmp_path / "report.pdf")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     assert (tmp_path / "report.pdf").read_bytes().count(b"/Type /Page ") == 2
 
 
@@ -540,6 +541,7 @@ def test_the_history_plots_a_number_over_the_calibrations_of_a_folder(panel, qtb
     assert shown.plot.curves[0].name == shown.history.trends[1].name
     shown.plot.save(tmp_path / "history.csv")
     panel.save_report(tmp_path / "report.pdf")
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
     assert (tmp_path / "report.pdf").read_bytes().count(b"/Type /Page ") == 3
     shown.close()
 

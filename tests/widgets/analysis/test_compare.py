@@ -297,6 +297,8 @@ def test_the_figure_is_saved_as_it_is_displayed(panel, qtbot, tmp_path):
     for suffix in ("png", "pdf", "svg"):
         path = tmp_path / f"figure.{suffix}"
         panel.save_figure_to(path)
+        assert not panel.save_figure.enabled
+        qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
         assert path.stat().st_size > 5000
         assert [one.name for one in tmp_path.iterdir() if "figure" in one.name] == [path.name]
         path.unlink()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,16 @@ def test_its_tabs_are_the_manifests_other_widgets():
     commands = {c.id: c.python_name for c in PluginManifest.from_distribution(PLUGIN).contributions.commands or ()}
     declared = [(widget.display_name, commands[widget.command]) for widget in widgets]
     assert declared == [("ELS+", "napari_elsplus.widgets.dock.panel:ElsPlusDock"), *map(tuple, PANELS)]
+
+
+def test_no_panel_imports_matplotlib_before_something_is_drawn_for_a_file():
+    """Its import takes a second or two, in which a window that waits for it is frozen."""
+    code = (
+        "import sys; from napari_elsplus.widgets.dock.panel import PANELS; [kind.load() for kind in PANELS];"
+        "print('matplotlib' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 def test_every_tab_has_whole_words_and_a_panel_in_a_scroll_area(dock):

@@ -11,8 +11,6 @@ from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.mosaicing.sheet import Sheet
 from napari_elsplus.viewing.mosaic.growing import SATURATED_FRACTION
 from napari_elsplus.viewing.script import recording_script, write_script
-from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,6 +50,9 @@ def save_mosaics(
     InputError
         If the mosaic is empty, or a file exists and `force` is false.
     """
+    from napari_elsplus.workflows.pictures.files import save_figure  # matplotlib, which no panel waits for
+    from napari_elsplus.workflows.pictures.mosaic_picture import draw_mosaic
+
     name = recording_stem(path.name)
     several = len(mosaics.canvases) > 1
     names = {mode: f"{name}-{mode.value}" if several else name for mode in mosaics.canvases}

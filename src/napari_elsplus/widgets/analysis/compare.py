@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from magicgui.widgets import ComboBox, SpinBox
+from napari.utils.notifications import show_info
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE
@@ -48,8 +50,6 @@ from napari_elsplus.workflows.pictures.comparison import ComparisonFigure, scale
 from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import napari.viewer
     from napari.layers import Image
 
@@ -189,7 +189,8 @@ class ComparePanel(AnalysisPanel):
             scaled = scaled_images(images, inside, self.scaling.value)
             um_per_px, width_px = self._comparison.um_per_px, int(self.line_width.value)
             figure = ComparisonFigure(scaled, inside, self.display.line or (), width_px, um_per_px)
-            figure.save(path, force=True)
+            self.work.begin(0, lambda: figure.save(path, force=True), lambda _: show_info(f"saved {Path(path).name}"))
+        self._layers_changed()
 
     def copy_script(self) -> None:
         """Copy a script that makes this comparison to the clipboard."""
@@ -304,7 +305,8 @@ class ComparePanel(AnalysisPanel):
         )
         set_enabled(self.save, self.comparing, "Save the profiles as PNG or CSV", "start the comparison")
         figure = "Save images and profiles as a figure of one column's width (85 mm): PNG, PDF or SVG"
-        set_enabled(self.save_figure, self.comparing, figure, "start the comparison")
+        reason = "wait for the images" if self.comparing else "start the comparison"
+        set_enabled(self.save_figure, self.comparing and idle, figure, reason)
 
     def _work_ended(self) -> None:
         super()._work_ended()

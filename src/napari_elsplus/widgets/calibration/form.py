@@ -315,7 +315,8 @@ class Form:
         _allow(self.undo, "" if past else "nothing was accepted yet", "Go back to before the last step was accepted")
         unmeasured = "" if present else "no step is there yet: measure one, or load a calibration"
         _allow(self.save, unmeasured, "Write the calibration, for recordings that have none of their own")
-        _allow(self.report, unmeasured, "Save a PDF with every number, fit, residual and picture, and the date")
+        reports = "Save a PDF with every number, fit, residual and picture, and the date"
+        _allow(self.report, unmeasured or measured, reports)
         unplotted = "" if self.plots[0].curves else "nothing is plotted yet"
         _allow(self.save_plots, unplotted, "Save what is plotted as pictures (.png) or tables (.csv)")
         _allow(self.script, "" if scripted else "no step was measured here", "Copy Python that makes this calibration")

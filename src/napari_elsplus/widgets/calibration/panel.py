@@ -222,8 +222,8 @@ class CalibrationPanel(EnginePanel):
         """Save a PDF of the calibration to a path, with every number, fit, residual and picture."""
         with notify_errors(self):
             history = history_beside(self.sharing.file)
-            pages = save_calibration_report(self.draft, Path(path), history=history, force=True)
-            show_info(f"saved {Path(path).name}: {pages} pages")
+            saved = partial(save_calibration_report, self.draft, Path(path), history=history, force=True)
+            self.work.begin(0, saved, lambda pages: show_info(f"saved {Path(path).name}: {pages} pages"))
 
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""

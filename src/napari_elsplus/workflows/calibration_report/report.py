@@ -1,13 +1,13 @@
-"""Calibration report: one PDF with every number, fit, residual and picture of a calibration, for a lab's files."""
+"""Calibration report: one PDF with every number, fit, residual and picture of a calibration, for a lab's files.
+
+Matplotlib is imported when one is drawn: the Calibration panel displays the numbers without it.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from matplotlib.backends.backend_pdf import PdfPages
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from napari_elsplus import __version__
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection, OpticsSection
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import BundleSection, Calibration
@@ -68,6 +69,8 @@ def save_calibration_report(
     InputError
         If the file is not named NAME.pdf, or exists and `force` is not given.
     """
+    from matplotlib.backends.backend_pdf import PdfPages
+
     refuse_suffix(path, ".pdf")
     with replacing(path, force=force) as unfinished, PdfPages(unfinished) as pages:
         for number, figure in enumerate(draw_calibration_report(draft, history), 1):
@@ -146,6 +149,8 @@ def _setup(calibration: Calibration) -> Setup:
 
 
 def _page(title: str) -> Figure:
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(PAGE_MM[0] / 25.4, PAGE_MM[1] / 25.4))
     figure.text(0.1, 0.94, title, fontsize=16, fontweight="bold")
     return figure
@@ -253,6 +258,8 @@ def _show(axes: Axes, name: str, image: NDArray[Any], bundle: BundleSection | No
     axes.set_title(name, fontsize=9)
     axes.tick_params(labelsize=7)
     if bundle is not None:
+        from matplotlib.patches import Circle
+
         centres = ((bundle.confocal_centre, "blue"), (bundle.residual_centre, "orange"))
         for (row, col), colour in centres:
             axes.add_patch(Circle((col, row), bundle.diameter_px / 2, fill=False, color=PAPER_COLOURS[colour]))

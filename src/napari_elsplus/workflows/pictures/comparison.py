@@ -1,4 +1,7 @@
-"""LS, ELSA and ELS+ of one moment side by side, with profiles along a line: a figure of one column's width."""
+"""LS, ELSA and ELS+ of one moment side by side, with profiles along a line: a figure of one column's width.
+
+Matplotlib is imported when one is drawn: panels display the images without it.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from napari_elsplus.processing.analysis.image_quality import Contrast, Scaling, contrast, white_levels
 from napari_elsplus.processing.analysis.line_profiles import PROFILE_WIDTH_PX, LineProfiles, line_profiles
 from napari_elsplus.processing.images.modes import COMPARED_MODES
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES, PAPER_COLOURS
-from napari_elsplus.workflows.pictures.files import save_figure
-from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Mapping
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Point = tuple[float, float]
@@ -101,6 +101,8 @@ class ComparisonFigure:
         InputError
             If the format is unknown, or the file exists and `force` is not given.
         """
+        from napari_elsplus.workflows.pictures.files import save_figure
+
         save_figure(draw_comparison(self), Path(path), force=force)
 
 
@@ -124,8 +126,11 @@ def draw_comparison(comparison: ComparisonFigure) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Without a window; :func:`save_figure` saves it.
+        Without a window; :func:`~napari_elsplus.workflows.pictures.files.save_figure` saves it.
     """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     shown = [mode for mode in COMPARED_MODES if mode in comparison.images]
     image_mm = COLUMN_MM / len(shown)
     size_mm = (COLUMN_MM, image_mm + _CAPTION_MM + _PROFILE_MM)
@@ -154,6 +159,8 @@ def _draw_image(axes: Axes, comparison: ComparisonFigure, mode: Mode, letter: st
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
     if comparison.um_per_px is not None:
+        from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
+
         draw_scale_bar(axes, image.shape, comparison.um_per_px, SMALL_PT)
 
 
