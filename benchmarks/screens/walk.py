@@ -67,7 +67,7 @@ def walk_to_figure(dock: ElsPlusDock, folder: Path) -> Hand:
     hand.drop(calibration, folder / TRANSMISSION, measured)
     hand.type(form.bundle_um, BUNDLE_UM, "bundle Ø")
     hand.type(form.line_period_us, 7.648, "line period")
-    hand.type(form.periods_per_frame, 544.8, "line periods / frame")
+    hand.type(form.periods_per_frame, 544.8, "periods / frame")
     hand.click(form.accept, "Accept")
     hand.click_and_confirm(form.save, "Save...", (folder / "calibration.json").exists)
     compare: Any = hand.show("Compare")

@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from napari.settings import get_settings
 from npe2 import PluginManifest
 from qtpy.QtWidgets import QScrollArea
 
@@ -77,6 +79,28 @@ def test_it_fits_the_window_of_a_laptop(viewer, dock, qtbot, size):
         dock.show_tab(title)
         scroll = tab.findChild(QScrollArea)
         assert scroll.viewport().width() >= panel(dock, title).minimumSizeHint().width(), title
+
+
+@pytest.mark.parametrize("font_pt", [9, 13, 18])
+def test_the_window_fits_a_laptop_with_fonts_of_any_size(viewer, dock, qtbot, font_pt):
+    """Before: with images open, the window was 1325 pixels wide with napari's font of 13 points."""
+    get_settings().appearance.font_size = font_pt
+    viewer.add_image(np.zeros((20, 60, 60), np.uint8))
+    viewer.window.show()
+    viewer.window.resize(1280, 800)
+    window = dock.window()
+    bar = dock.tabs.tabBar()
+    qtbot.waitUntil(lambda: bar.fontMetrics().height() > font_pt, timeout=10_000)
+    for title, tab in dock.by_title.items():
+        dock.show_tab(title)
+        qtbot.wait(50)
+        assert dock.minimumSizeHint().width() <= 532, title
+        scroll = tab.findChild(QScrollArea)
+        if font_pt <= 13:
+            assert window.minimumSizeHint().width() <= 1280, title
+            assert scroll.horizontalScrollBar().maximum() == 0, title
+        else:
+            assert scroll.horizontalScrollBar().maximum() > 0 or panel(dock, title).minimumSizeHint().width() < 525
 
 
 def test_a_panel_of_the_menu_is_the_one_of_the_tab_and_comes_back_with_its_state(viewer, dock, qtbot):

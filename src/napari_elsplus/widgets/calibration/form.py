@@ -341,7 +341,7 @@ class Form:
         optics = {
             "bundle Ø (µm)": self.bundle_um,
             "line period (µs)": self.line_period_us,
-            "line periods / frame": self.periods_per_frame,
+            "periods / frame": self.periods_per_frame,
         }
         layout.addLayout(_grid(*(QLabel(text) for text in optics), *optics.values()))
         layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))

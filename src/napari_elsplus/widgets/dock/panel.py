@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from qtpy.QtCore import Qt
+from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import QDockWidget, QSizePolicy, QTabWidget, QVBoxLayout
 
 from napari_elsplus.widgets.dock.status_line import StatusLine
-from napari_elsplus.widgets.dock.tab import PanelKind, Tab
+from napari_elsplus.widgets.dock.tab import MAX_MIN_WIDTH_PX, MIN_WIDTH_PX, PanelKind, Tab
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import timer
 
@@ -27,10 +27,21 @@ PANELS: Final = (
 """From left to right, in the order of the work; the manifest declares each as a widget of its own, too."""
 FIRST: Final = "Compare"
 """The tab in front at first: it needs no instrument."""
-TAB_STYLE: Final = "QTabBar {background: none; border: none; padding: 0px} QTabBar::tab {padding: 4px 6px}"
+TAB_STYLE: Final = "QTabBar {background: none; border: none; padding: 0px} QTabBar::tab {padding: 4px 2px}"
 """Of the tabs; napari's draws its own frame around the bar, which cuts their tops."""
 STATUS_MS: Final = 200
 """Interval of the status line, milliseconds; chosen, faster than it can be read."""
+
+
+class _Tabs(QTabWidget):
+    """Tabs that are all seen; arrows scroll them only where the font makes them too wide for the window of a laptop."""
+
+    def minimumSizeHint(self) -> QSize:
+        """Return the width of the tabs within the dock's limits, and the height of a panel that scrolls."""
+        bar = self.tabBar()
+        tabs_px = bar.sizeHint().width() if bar is not None else 0
+        width_px = max(MIN_WIDTH_PX, min(tabs_px, MAX_MIN_WIDTH_PX))
+        return super().minimumSizeHint().expandedTo(QSize(width_px, 0))
 
 
 class ElsPlusDock(EnginePanel):
@@ -49,13 +60,12 @@ class ElsPlusDock(EnginePanel):
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
-        self.tabs = QTabWidget()
+        self.tabs = _Tabs()
         self.tabs.setDocumentMode(True)
         self.tabs.setStyleSheet(TAB_STYLE)
         bar = self.tabs.tabBar()
         assert bar is not None
         bar.setDrawBase(False)
-        self.tabs.setUsesScrollButtons(False)
         self.tabs.setElideMode(Qt.TextElideMode.ElideNone)
         self.by_title = {kind.title: Tab(kind, viewer) for kind in PANELS}
         for title, tab in self.by_title.items():

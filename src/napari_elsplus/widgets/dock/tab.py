@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 MIN_HEIGHT_PX: Final = 280
 """Smallest height of a tab's content, pixels; chosen: with title, tabs and status line the dock needs about 400."""
+MIN_WIDTH_PX: Final = 440
+"""Smallest width of the dock, pixels; chosen, so that plots can be read."""
+MAX_MIN_WIDTH_PX: Final = 525
+"""Largest width that the dock demands, pixels; measured: with a font of 13 points napari's own docks and the smallest
+canvas leave 532 of 1280. Where tabs or panels need more, in larger fonts, they scroll."""
 
 
 class PanelKind(NamedTuple):
@@ -128,20 +133,19 @@ class Tab(QWidget):
 
 
 class _PanelScrollArea(QScrollArea):
-    """Scrolls a panel vertically, and is as wide as the panel needs."""
+    """Scrolls a panel, sideways only where the font makes it too wide for the window of a laptop."""
 
     def __init__(self, panel: Panel) -> None:
         super().__init__()
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setWidgetResizable(True)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setWidget(panel)
 
     def minimumSizeHint(self) -> QSize:
         """Return the panel's smallest width with the scroll bar, and a height that fits small screens."""
         panel, bar = self.widget(), self.verticalScrollBar()
         width_px = (panel.minimumSizeHint().width() if panel else 0) + (bar.sizeHint().width() if bar else 0)
-        return QSize(width_px, MIN_HEIGHT_PX)
+        return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Follow changes of the panel's smallest width; see :meth:`QObject.eventFilter`."""

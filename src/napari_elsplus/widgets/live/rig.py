@@ -224,8 +224,8 @@ class RigPanel(EnginePanel):
         layout.addLayout(form_layout(self.rig, self.preset, self.slit_rows, self.rate_hz, self.gain_db))
         layout.addWidget(self.optics)
         layout.addLayout(button_row(self.connect, self.parking))
-        layout.addLayout(button_row(self.open_file, self.save_file, self.forgetting))
-        layout.addWidget(self.calibrate_simulated.native)
+        layout.addLayout(button_row(self.open_file, self.save_file))
+        layout.addLayout(button_row(self.forgetting, self.calibrate_simulated))
         for part in (self.bar, self.status, self.lag.native, self.rehearsal):
             layout.addWidget(part)
         layout.addStretch(1)
