@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 from napari.utils.notifications import notification_manager
+from qtpy.QtCore import QTimer
 
 from napari_elsplus._reader import get_reader
 from napari_elsplus._view import FILLED, SETTLED_MS
@@ -57,6 +58,23 @@ def test_what_is_opened_first_fills_the_canvas_above_a_scale_bar_and_what_follow
     viewer.open(path, plugin=PLUGIN)
     qtbot.wait(3 * SETTLED_MS)
     assert (camera.center, camera.zoom, bar.visible) == (*view, False)
+
+
+def test_the_window_answers_between_the_layers_of_a_recording(make_napari_viewer_proxy, tmp_path):
+    """Before: live images stood still, and heartbeats ceased, until the last was there: seconds on a busy computer."""
+    viewer = make_napari_viewer_proxy()
+    path, seen = str(write_pair(tmp_path)), []
+    ticking = QTimer()
+    ticking.timeout.connect(lambda: seen.append(len(viewer.layers)))
+    ticking.start(0)
+    opened = viewer.open(path, plugin="napari-elsplus")
+    ticking.stop()
+    assert set(seen) >= set(range(1, len(opened) + 1))
+    seen.clear()
+    ticking.start(0)
+    viewer.add_image(np.zeros((8, 8)))
+    assert seen == [], "layers of others are added as ever"
+    ticking.stop()
 
 
 def test_a_view_that_a_script_sets_after_opening_stays(make_napari_viewer_proxy, tmp_path, qtbot):

@@ -14,7 +14,7 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QEventLoop
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus._view import fit_first_layers
+from napari_elsplus._view import answer_between_layers, fit_first_layers
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.processing.images.sectioning import Mode
@@ -78,7 +78,7 @@ def recording() -> list[tuple[Any, ...]]:
     raw[1]["visible"] = False
     *shown, elsa = image_layers(stack, frames.calibration)
     placed = side_by_side(shown)
-    return [titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed]
+    return _opened([titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed])
 
 
 @compilation_displayed()
@@ -95,7 +95,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
         if name == "sweep":
             layer[1]["metadata"][PROVENANCE]["volts"] = taken.volts
         layers.append(layer)
-    return layers
+    return _opened(layers)
 
 
 @compilation_displayed()
@@ -106,7 +106,13 @@ def axial_scan() -> list[tuple[Any, ...]]:
     stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)
     raw[1]["visible"] = False
-    return [raw, *image_layers(stack, calibration)]
+    return _opened([raw, *image_layers(stack, calibration)])
+
+
+def _opened(layers: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return layers of a sample, between which the window answers when napari adds them."""
+    answer_between_layers(napari.current_viewer(), len(layers))
+    return layers
 
 
 def _planes(frames: RenderedFrames) -> LazyPlanes:

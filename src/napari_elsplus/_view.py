@@ -1,4 +1,4 @@
-"""The view of a viewer, fitted to what is visible; that of what is opened first, with a scale bar."""
+"""The view of a viewer while layers are opened: drawn between them, fitted to what is visible, with a scale bar."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import weakref
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from qtpy.QtCore import QTimer
+from qtpy.QtCore import QEventLoop, QTimer
+from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.viewing.common_axes import PIXEL
 
@@ -73,6 +74,32 @@ def fit_first_layers(viewer: napari.viewer.Viewer | None) -> None:
 
     settled.timeout.connect(fit)
     inserted.connect(restart, position="last")  # after napari's own reset of the view
+
+
+def answer_between_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
+    """Draw the window, and let its timers run, after each of the layers that are being opened.
+
+    napari inserts all layers of a file in one turn of the event loop. Each takes a tenth of a second, and several on a
+    busy computer: live images stood still, and the engine took the window for frozen.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or None
+        Into which they are opened.
+    count : int
+        Number of layers.
+    """
+    if viewer is None or QApplication.instance() is None:
+        return
+    inserted, left = viewer.layers.events.inserted, [count]
+
+    def answer(_: Any) -> None:
+        left[0] -= 1
+        if left[0] <= 0:
+            inserted.disconnect(answer)
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+    inserted.connect(answer, position="last")
 
 
 def _view_of(viewer: napari.viewer.Viewer | None) -> list[object]:
