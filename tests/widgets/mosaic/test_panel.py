@@ -297,6 +297,23 @@ def test_finished_images_that_were_opened_as_raw_frames_are_ticked_as_such(viewe
     assert f"<b>{FRAMES}</b> of {FRAMES}" in panel.form.status.text()
 
 
+def test_the_image_types_are_stated_to_be_of_the_live_mosaic_where_finished_images_are_selected(viewer, panel, qtbot):
+    """Before: the boxes were ticked to no effect, and one had to be."""
+    assert panel.form.modes_note.isHidden()
+    images = np.stack([100 * texture(300, 3)[4 * k :][:200, 7 * k :][:, :200] for k in range(5)])
+    viewer.add_image(images, name="my images")
+    panel.form.recording.value = "my images"
+    panel.refresh()
+    assert not panel.form.modes_note.isHidden()
+    for box in panel.form.modes.values():
+        box.value = False
+    make(panel, qtbot)
+    assert "mosaic my images" in viewer.layers
+    panel.form.recording.value = "scan raw"
+    panel.refresh()
+    assert panel.form.modes_note.isHidden()
+
+
 def test_a_mosaic_of_images_without_a_scale_is_not_measured(viewer, panel, qtbot, tmp_path):
     scene = 100 * texture(500, 3)
     images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
@@ -11,7 +12,7 @@ from napari_elsplus.io.settings import remember
 from napari_elsplus.processing.images.modes import COMPARED_MODES, Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
-from napari_elsplus.widgets.mosaic.sources import source_names
+from napari_elsplus.widgets.mosaic.sources import are_finished_images, source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
 from napari_elsplus.widgets.shared.choosing import LayerChoice, is_uncalibrated
 from napari_elsplus.widgets.shared.panel import (
@@ -69,6 +70,8 @@ class MosaicForm:
         self.modes = {
             mode: CheckBox(value=mode is Mode.ELS, text=mode.label, tooltip=_TIPS[mode]) for mode in COMPARED_MODES
         }
+        self.modes_note = text_label()
+        self.modes_note.setText(MODES_ARE_LIVE)
         methods, insertions = tracking_methods(), [i.value for i in Insertion]
         self.method = ComboBox(
             choices=[(METHOD_LABELS.get(name, name), name) for name in methods],
@@ -101,6 +104,12 @@ class MosaicForm:
         """Modes, method and insertion as set in the form."""
         modes = tuple(mode for mode, box in self.modes.items() if box.value)
         return MosaicPlan(modes, str(self.method.value), Insertion(self.insertion.value))
+
+    @property
+    def calibration_file(self) -> Path | None:
+        """The selected calibration file, if it exists."""
+        path = self.calibration.value
+        return path if isinstance(path, Path) and path.is_file() else None
 
     def remember(self) -> None:
         """Save the values for the next session."""
@@ -141,7 +150,10 @@ class MosaicForm:
         live, calibrating : bool
             The engine is making a mosaic, or calibrating.
         """
-        self.finished.visible = is_uncalibrated(self.recording.layer)
+        layer = self.recording.layer
+        self.finished.visible = is_uncalibrated(layer)
+        ticked, given = bool(self.finished.value), self.calibration_file is not None
+        self.modes_note.setVisible(layer is not None and are_finished_images(layer, ticked=ticked, calibrated=given))
         self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
         self.going_live.enabled = calibrating or not (busy or requesting)
         self.going_live.tooltip = (
@@ -176,11 +188,14 @@ class MosaicForm:
             [self.opening],
         ):
             layout.addLayout(button_row(*row))
+            if row[0] in self.modes.values():
+                layout.addWidget(self.modes_note)
         for widget in (work, self.speed, self.status):
             layout.addWidget(widget)
         layout.addStretch(1)
 
 
+MODES_ARE_LIVE: Final = "LS, ELSA and ELS+ are of the live mosaic; finished images are inserted as they are."
 _TIPS: Final = {
     Mode.LS: "Confocal view: line-scan confocal",
     Mode.ELSA: "Confocal of one frame minus residual of the next, for comparison; live only with LS or ELS+",

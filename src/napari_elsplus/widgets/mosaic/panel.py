@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari.utils.notifications import show_info, show_warning
@@ -32,6 +31,7 @@ from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     import napari.viewer
     from napari.layers import Image
@@ -101,14 +101,12 @@ class MosaicPanel(EnginePanel):
         An unsaved live mosaic is replaced only if the user agrees, since it cannot be made again.
         """
         with notify_errors(self):
-            plan, chosen = self.form.plan, self._chosen()
+            chosen, path = self._chosen(), self.form.calibration_file
             note_folder(provenance_of(chosen.metadata).get("path"))
-            _ = plan.tracked
-            calibration = self.form.calibration.value
-            path = calibration if isinstance(calibration, Path) and calibration.is_file() else None
             given = None if path is None else read_calibration(path)
             source = source_of(chosen, given, path, finished=bool(self.form.finished.value))
-            plan = source.plan(plan)
+            plan = source.plan(self.form.plan)
+            _ = plan.tracked
             if isinstance(self._shown, LiveMosaicView) and not self._may_replace("The mosaic of the selected stack"):
                 return
             self.form.remember()
@@ -233,8 +231,7 @@ class MosaicPanel(EnginePanel):
     def copy_script(self) -> None:
         """Copy a script that makes and saves these mosaics to the clipboard."""
         with notify_errors(self):
-            path = self.form.calibration.value
-            given = path if isinstance(path, Path) and path.is_file() else None
+            given = self.form.calibration_file
             facts = provenance_of(self._chosen().metadata)
             if facts.get("kind") != "raw":
                 raise InputError("these images are not a raw recording", "select a raw recording for a script")

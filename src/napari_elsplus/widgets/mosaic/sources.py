@@ -13,7 +13,7 @@ from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.provenance import provenance_of
-from napari_elsplus.widgets.shared.choosing import is_raw
+from napari_elsplus.widgets.shared.choosing import is_raw, is_uncalibrated
 from napari_elsplus.workflows.tracking import calibration_of_finished_images
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import napari.viewer
+    from napari.layers import Layer
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.images.sectioning import Frames
@@ -70,6 +71,21 @@ def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""
     usable = [layer for layer in viewer.layers if isinstance(layer, Image) and _usable(layer)]
     return [layer.name for layer in sorted(usable, key=lambda layer: not is_raw(layer))]
+
+
+def are_finished_images(layer: Layer, *, ticked: bool, calibrated: bool) -> bool:
+    """Return True for a layer of finished images, of which one mosaic is made, whatever image types are selected.
+
+    Parameters
+    ----------
+    layer : napari.layers.Layer
+        One of :func:`source_names`.
+    ticked : bool
+        The user declares what was opened as raw frames without a calibration to be finished images.
+    calibrated : bool
+        The user has selected a calibration, by which the frames are raw.
+    """
+    return not calibrated and (not is_raw(layer) or (ticked and is_uncalibrated(layer)))
 
 
 def source_of(layer: Image, given: Calibration | None, path: Path | None, *, finished: bool = False) -> MosaicSource:
