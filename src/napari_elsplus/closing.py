@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
 
 _ENDING: Final = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that end a program; Windows has only the first, and ends programs without it."""
+_AGAIN_S: Final = 0.02
+"""Seconds after which a signal is handled again, its exception discarded; chosen: a callback has returned by then."""
 
 
 class ClosedOnExit:
@@ -33,7 +37,8 @@ def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
     """Within the context, let SIGTERM and SIGHUP end the program by SystemExit, so that what it holds is closed.
 
     Signals that the program ignores or handles otherwise are left alone, and so are all of them outside the main
-    thread. One that arrives while the program unwinds is ignored.
+    thread. One that arrives while the program unwinds is ignored. One that arrives in a callback or a finalizer, where
+    Python discards exceptions, is handled again after it.
 
     Parameters
     ----------
@@ -47,18 +52,40 @@ def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
     handled = [number for number, handler in before.items() if main and handler in untouched]
 
     restored = list(handled)
+    raised: dict[int, BaseException] = {}
+    report = sys.unraisablehook
 
     def end(number: int, _: Any) -> None:
         if interrupts:
             restored.clear()
         for other in handled:
             signal.signal(other, signal.SIG_IGN)
-        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+        raised[number] = KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
+        raise raised[number]
+
+    def end_again(discarded: Any) -> None:
+        number = next((one for one, error in raised.items() if error is discarded.exc_value), None)
+        if number is None:
+            report(discarded)
+            return
+        signal.signal(number, end)
+        again = threading.Timer(_AGAIN_S, _send_to_main_thread, (number,))
+        again.daemon = True
+        again.start()
 
     for number in handled:
         signal.signal(number, end)
+    sys.unraisablehook = end_again
     try:
         yield
     finally:
+        sys.unraisablehook = report
         for number in restored:
             signal.signal(number, before[number])
+
+
+def _send_to_main_thread(number: int) -> None:
+    if sys.platform == "win32":
+        _thread.interrupt_main(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)  # ends what it waits for, too

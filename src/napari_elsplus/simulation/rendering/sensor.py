@@ -76,7 +76,8 @@ def spread_spots(
     pixel_rows = np.repeat(rows, right - left)
     pixel_cols = np.arange(first[-1]) - np.repeat(first[:-1] - left, right - left)
     tree = cKDTree(np.stack([rows_px, cols_px], 1))
-    away, cores = tree.query(np.stack([pixel_rows, pixel_cols], 1), k=SPOTS_PER_PIXEL, workers=-1)
+    # by this thread alone: workers of the tree outlive Ctrl-C, and then crash on what was released
+    away, cores = tree.query(np.stack([pixel_rows, pixel_cols], 1), k=SPOTS_PER_PIXEL)
     weights = np.exp(-0.5 * (away / (bundle.core_sigma * pitch_px)) ** 2)
     lit = np.hypot(pixel_rows - centre[0], pixel_cols - centre[1]) < radius - 2 * reach
     scale = 1 / weights[lit].sum(1).mean()
