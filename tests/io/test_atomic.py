@@ -184,3 +184,9 @@ def test_a_name_as_long_as_a_file_system_takes_is_written(tmp_path, letter):
 def test_a_longer_name_is_refused_before_the_work(tmp_path):
     with pytest.raises(InputError, match="is a name of 256 bytes: give one of at most 255"):
         refuse_existing(tmp_path / ("é" * 126 + ".tif"))
+
+
+def test_a_file_in_place_of_a_folder_is_refused(tmp_path):
+    (tmp_path / "demo").write_text("")
+    with pytest.raises(InputError, match="demo is a file: name a folder"), in_folder(tmp_path / "demo"):
+        raise AssertionError("work was done")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import errno
 import mmap
 import os
+import shutil
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from napari_elsplus.io import disk
-from napari_elsplus.io.disk import SpanWriter
+from napari_elsplus.io.disk import SpanWriter, require_room
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +29,14 @@ BEFORE = np.random.default_rng(5).integers(0, 256, 3 * BLOCK_BYTES, np.uint8)
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(disk, "BLOCK_BYTES", BLOCK_BYTES)
+
+
+def test_a_disk_that_does_not_state_its_size_is_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(0, 0, 0))  # type: ignore[attr-defined]
+    require_room(tmp_path / "a.tif", 1e12)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))  # type: ignore[attr-defined]
+    with pytest.raises(OSError, match=r"0.0 MB do not fit"):
+        require_room(tmp_path / "a.tif", 1)
 
 
 def written(path: Path, start: int, arrays: Sequence[NDArray[np.uint8]]) -> None:

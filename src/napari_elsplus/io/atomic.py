@@ -150,7 +150,14 @@ def in_folder(folder: Path) -> Iterator[None]:
     ----------
     folder : pathlib.Path
         Its parents are made, too.
+
+    Raises
+    ------
+    InputError
+        If it is a file.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file", "name a folder")
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -49,11 +49,12 @@ def require_room(path: Path, nbytes: float) -> None:
     >>> from pathlib import Path
     >>> require_room(Path("els.ome.tif"), 1e21)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    OSError: [Errno 28] 1000000000000.0 GB do not fit into the ... GB that are free on its disk: 'els.ome.tif'
+    OSError: [Errno 28] 1000000000000.0 GB do not fit into the ... that are free on its disk: 'els.ome.tif'
     """
-    free = shutil.disk_usage(path.parent).free
-    if nbytes > free:
-        problem = f"{min(nbytes, 1e30) / 1e9:.1f} GB do not fit into the {free / 1e9:.1f} GB that are free on its disk"
+    disk = shutil.disk_usage(path.parent)
+    free = disk.free
+    if disk.total and nbytes > free:  # some network and virtual file systems do not state their size
+        problem = f"{_size(nbytes)} do not fit into the {_size(free)} that are free on its disk"
         raise OSError(errno.ENOSPC, problem, str(path))
 
 
@@ -227,6 +228,11 @@ class _BlockFile:
         self._cached.close()
         if self._direct is not None:
             self._direct.close()
+
+
+def _size(nbytes: float) -> str:
+    """Return a number of bytes in words."""
+    return f"{min(nbytes, 1e30) / 1e9:.1f} GB" if nbytes >= 1e9 else f"{nbytes / 1e6:.1f} MB"
 
 
 def _empty_block() -> NDArray[np.uint8]:

@@ -23,6 +23,7 @@ from napari_elsplus.io import (
     write_json,
 )
 from napari_elsplus.io.atomic import in_folder
+from napari_elsplus.io.disk import require_room
 from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.io.formats.source import MAX_FRAMES
 from napari_elsplus.processing.progress import Progress, without_display
@@ -261,6 +262,7 @@ class SimulatedCalibrationFrames:
         with in_folder(folder):
             for name in (*(f"{part}.tif" for part in parts), "sweep_volts.csv", "truth.json"):
                 refuse_existing(folder / name, force=force)
+            require_room(folder / "line.tif", sum(len(frames) * frames[0].nbytes for frames in parts.values()))
             for part, frames in parts.items():
                 shown = (frames[index] for index in progress(range(len(frames)), part))
                 metadata = ImageMetadata(um_per_px=self.um_per_px)

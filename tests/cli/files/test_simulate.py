@@ -198,3 +198,11 @@ def test_more_frames_than_the_disk_holds_are_refused_before_the_work(elsplus: El
 def test_a_number_of_frames_that_cannot_be_read_is_refused(frames: int) -> None:
     with pytest.raises(InputError, match=f"a recording of {frames} frames: give 1 to 10000000"):
         simulate_recording(frames=frames)
+
+
+@pytest.mark.parametrize("rate_hz", [1e-9, 1e9])
+def test_a_frame_rate_that_no_calibration_can_have_is_refused(elsplus: Elsplus, tmp_path: Path, rate_hz: float) -> None:
+    """Before: the slow one ended in a traceback."""
+    run = elsplus("simulate", "recording", "--frames", 1, "--rate-hz", rate_hz, "-o", tmp_path / "r.ome.tif")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "frames per second asked of the 240hz preset: give at most 240, more than 0.00013" in run.err

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from napari_elsplus.errors import InputError
+from napari_elsplus.instrument.calibration import MAX_NUMBER
 from napari_elsplus.instrument.optics import PIXEL_PITCH_UM, SENSOR_SHAPE, Optics, Preset, preset
 from napari_elsplus.simulation.model.axial_response import LINE_MODELS, LineModel
 from napari_elsplus.simulation.model.bundle import Bundle
@@ -251,10 +252,10 @@ class Instrument:
 
 
 def _slowed(chosen: Preset, rate_hz: float) -> Optics:
-    fastest = chosen.optics.frame_rate_hz
-    if not 0 < rate_hz <= fastest * (1 + 1e-6):
+    fastest, slowest = chosen.optics.frame_rate_hz, 1 / (MAX_NUMBER * chosen.optics.line_period_s)
+    if not slowest < rate_hz <= fastest * (1 + 1e-6):
         raise InputError(
             f"{rate_hz} frames per second asked of the {chosen.name} preset",
-            f"give at most {fastest:.4g}, more than 0",
+            f"give at most {fastest:.4g}, more than {slowest:.2g}",
         )
     return chosen.optics.at_rate(rate_hz)

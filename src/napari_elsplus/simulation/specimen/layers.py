@@ -97,7 +97,7 @@ class Layer:
             last = (int(np.floor(high / self.step_um)) + 1) // BLOCK
             if last - first >= self.size // BLOCK:
                 raise InputError(
-                    f"one frame spans {high - low:.0f} um of the scene, "
+                    f"one frame spans {high - low:.4g} um of the scene, "
                     f"more than the {self.size * self.step_um:.0f} um that are held",
                     "move the probe more slowly",
                 )

@@ -192,7 +192,7 @@ def open_output(job: BatchJob) -> None:
     Raises
     ------
     InputError
-        If the folder holds other files, or another job.
+        If it is a file, or the folder holds other files, or another job.
     """
     output, file = Path(job.output), Path(job.output, RECORDS, "job.json")
     described = {**asdict(job), "output": "", "calibration": _digest(job.calibration)}
@@ -204,7 +204,9 @@ def open_output(job: BatchJob) -> None:
         if begun != described:
             raise InputError(f"{output} holds the results of another job than {job.describe()}", "name another folder")
         return
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output} is a file", "name a folder")
+    if output.exists() and any(output.iterdir()):
         raise InputError(f"{output} holds other files", "name a new folder")
     file.parent.mkdir(parents=True, exist_ok=True)
     write_json(file, described)

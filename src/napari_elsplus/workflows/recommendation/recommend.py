@@ -153,7 +153,7 @@ def _notes(estimate: LineEstimate, expected: Prediction, offset_um: float, depth
     if estimate.assumed:
         yield "spread and gap are those of the model: measure a plate with `axial` and give it with --plate"
     depths = {"haze": depth_um, "3 dB": expected.drop_3db_um, "10 dB": expected.drop_10db_um}
-    beyond = [f"{name} at {at_um:.0f} um" for name, at_um in depths.items() if at_um > estimate.measured_to_um]
+    beyond = [f"{name} at {at_um:.4g} um" for name, at_um in depths.items() if at_um > estimate.measured_to_um]
     if beyond:
         measured = "states of the model were" if estimate.assumed else "plate was"
         yield (
