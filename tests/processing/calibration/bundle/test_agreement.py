@@ -196,3 +196,12 @@ def test_a_share_of_saturated_pixels_that_matters_is_noted(share: float, noted: 
     known = true_calibration(INSTRUMENT)
     found = re.search(SATURATED, grey_level_note(grey, known))
     assert (found is not None) == noted
+
+
+def test_a_calibration_whose_bundle_has_a_few_pixels_is_refused_without_warnings() -> None:
+    """Before: medians of nothing were taken beyond its edge, and numpy warned of them."""
+    true = true_calibration(INSTRUMENT)
+    assert true.bundle is not None
+    tiny = true.model_copy(update={"bundle": true.bundle.model_copy(update={"diameter_px": 3.0})})
+    with pytest.raises(CalibrationError, match="the calibration has it of 3 px"):
+        require_agreement(frames("fibres"), tiny)

@@ -193,6 +193,8 @@ def _edge(
     outside = (at_row < 0) | (at_row > smooth.shape[0] - 1) | (at_col < 0) | (at_col > smooth.shape[1] - 1)
     far = radii > (1 + 0.4 * reach) * radius
     near = (radii > (1 - 0.9 * reach) * radius) & (radii < (1 - 0.25 * reach) * radius)
+    if not (far.any() and near.any()):  # a circle of a few pixels
+        return np.empty((0, 2)), np.empty(0, np.intp), rays
     dark = np.median(np.where(outside[:, far], np.inf, light[:, far]), axis=1)
     usual_dark = np.median(dark[np.isfinite(dark)]) if np.isfinite(dark).any() else float(smooth.min())
     dark = np.where(np.isfinite(dark), dark, usual_dark)
