@@ -76,6 +76,7 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
         [
             *COMMAND, "-c", str(calibration_file), "--seconds", "600", "--rate-hz", "60",
             "--record", str(tmp_path / "r.ome.tif"), "--report", str(tmp_path / "report.json"),
+            "--mosaic", str(tmp_path / "m.ome.tif"), "--track", str(tmp_path / "t.csv"),
         ],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -93,6 +94,9 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
         running.kill()
     assert running.returncode == 130
     assert "Traceback" not in said
+    assert f"what was acquired until now is kept in {tmp_path / 'r.ome.tif'}, {tmp_path / 'm.ome.tif'}" in said
+    assert len(read_track(tmp_path / "t.csv")) >= 10
+    assert tifffile.imread(tmp_path / "m.ome.tif").any()
     recorded = json.loads((tmp_path / "report.json").read_text())["frames"]["recorded"]
     with open_recording(tmp_path / "r.ome.tif") as recording:
         assert len(recording) == recorded >= 10

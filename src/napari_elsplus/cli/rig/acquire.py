@@ -113,22 +113,25 @@ def command(
         engine.start()
         if record is not None:
             engine.record(RecordingPlan(record, earlier_s=ALL_OF_IT_S, force=force))
+        completed, kept = False, [record]
         try:
             _stream(engine, seconds)
-        except KeyboardInterrupt:
-            if record is not None:
-                click.echo(f"the frames until now are kept in {record}", err=True)
-            raise
+            completed = not engine.status().faults
         finally:
             engine.stop()
             engine.finish_recording()
             status = engine.status()
             remarks = list(notes(status, engine.calibration))
             write_json(report, {**status.report(), "notes": remarks}, indent=1, force=force)
-        if tracker is not None:
-            tracker.settle()
-            _write(tracker.pipeline, engine, mosaic, track, force)
-            remarks.insert(0, tracked(tracker.pipeline.rows))
+            if tracker is not None:
+                tracker.settle()
+                if completed or tracker.pipeline.mosaics:
+                    _write(tracker.pipeline, engine, mosaic, track, force)
+                    kept += [mosaic, track]
+                remarks.insert(0, tracked(tracker.pipeline.rows))
+            names = ", ".join(str(path) for path in kept if path is not None and path.exists())
+            if names and not completed:
+                click.echo(f"what was acquired until now is kept in {names}", err=True)
     click.echo(summary(status))
     for remark in remarks:
         click.echo(f"note: {remark}")
