@@ -10,6 +10,7 @@ import pytest
 import tifffile
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus._view import SETTLED_MS
 from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
@@ -22,8 +23,9 @@ OURS = ["compare LS", "compare ELSA", "compare ELS+", "compare titles", "compare
 
 
 @pytest.fixture
-def panel(viewer, tmp_path):
+def panel(viewer, tmp_path, qtbot):
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    qtbot.wait(3 * SETTLED_MS)  # the view is fitted
     _, widget = viewer.window.add_plugin_dock_widget(PLUGIN, "Compare")
     return widget
 

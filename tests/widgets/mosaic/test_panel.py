@@ -100,7 +100,7 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
 
     qtbot.waitUntil(ended, timeout=200_000)
     assert len(grown) > 1
-    assert mosaics(viewer) == OURS | {"mosaic titles"}
+    qtbot.waitUntil(lambda: mosaics(viewer) == OURS | {"mosaic titles"})  # they are created one by one
     images = {"mosaic LS", "mosaic ELSA", "mosaic ELS+"}
     assert {layer.name for layer in viewer.layers[-8:-5]} == images
     assert [layer.name for layer in viewer.layers[-2:]] == ["mosaic track", "mosaic track marks"]
