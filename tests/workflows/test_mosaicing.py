@@ -149,7 +149,8 @@ def test_uneven_light_is_taken_out_of_all_image_types(truth: Truth, monkeypatch:
     for relative in (1.0, 2.0):
 
         def estimate(_image: object, _poses: object, grid: Grid, relative: float = relative) -> LineLight:
-            return LineLight(np.full(grid.side, relative, np.float32), departure=relative - 1, uncertainty=0.0)
+            light = np.full((grid.side, grid.side), relative, np.float32)
+            return LineLight(light, departure=relative - 1, uncertainty=0.0, spread=(relative, relative))
 
         monkeypatch.setattr(tracking, "estimate_line_light", estimate)
         stack = TrackedStack(truth.frames, truth.calibration, plan)

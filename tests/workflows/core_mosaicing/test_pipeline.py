@@ -16,12 +16,14 @@ from napari_elsplus.cli import main
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
+from napari_elsplus.processing.mosaicing.line_light import LineLight
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.pictures import Bars
 from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
+from napari_elsplus.workflows import tracking
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.mosaicing import MosaicResult, mosaic
 from napari_elsplus.workflows.sectioning import section
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.front_end.grid import Grid
 
 FRAMES, PERIOD_UM = 12, 1.2 * CORE_PITCH_UM
 FINE = (Group(PERIOD_UM, -40.0, -40.0, True), Group(PERIOD_UM, 10.0, 10.0, False))
@@ -84,6 +88,19 @@ def test_elsplus_and_rolling_shutter_go_through_the_same_samples() -> None:
     motion = recorded()
     made = mosaic(motion.raw, motion.rig.calibration, "els", insertion="cores")
     assert min(contrasts(made, motion)) > 0.3
+
+
+def test_uneven_light_of_rows_and_columns_is_taken_out_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion, images = recorded(), []
+    for relative in (1.0, 2.0):
+
+        def estimate(_image: object, _poses: object, grid: Grid, relative: float = relative) -> LineLight:
+            light = np.full((grid.side, grid.side), relative, np.float32)
+            return LineLight(light, departure=1.0, uncertainty=0.0, spread=(relative, relative))
+
+        monkeypatch.setattr(tracking, "estimate_line_light", estimate)
+        images.append(mosaic(motion.raw, motion.rig.calibration, "els", insertion="cores").image)
+    np.testing.assert_allclose(2 * images[1], images[0], rtol=1e-4, atol=1e-3 * np.nanmax(images[0]))
 
 
 @pytest.mark.parametrize(
