@@ -63,7 +63,7 @@ def test_too_few_or_unmoving_frames(
         (json.dumps([1, 2]), "has no depths: name the JSON that `axial` wrote"),
         (json.dumps({"profiles": {"ls": [1.0, 0.5]}}), "no depths or no LS profile"),
         (json.dumps({"depth_um": [0, 9], "profiles": {"ls": [1.0, 0.5]}}), "at 2 depths up to 300 um: 5 are needed"),
-        (json.dumps({"depth_um": [0, 9, 20], "profiles": {"ls": [1.0]}}), "at 0 depths up to 300 um: 5 are needed"),
+        (json.dumps({"depth_um": [0, 9, 20], "profiles": {"ls": [1.0]}}), "no depths or no LS profile at them"),
     ],
 )
 def test_a_plate_without_depths(elsplus: Callable[..., Run], tmp_path: Path, plate: str, problem: str) -> None:

@@ -136,7 +136,7 @@ def _fitted(estimate: LineEstimate, plate: Mapping[str, Any], slit_um: float) ->
         used = np.flatnonzero((depth_um >= 0) & (depth_um <= MAX_PLATE_UM) & np.isfinite(ls))
         depth_um, ls = depth_um[used], ls[used]
     except (KeyError, IndexError, TypeError, ValueError):
-        raise InputError("the plate's file has no depths or no LS profile", AXIAL_FILE) from None
+        raise InputError("the plate's file has no depths or no LS profile at them", AXIAL_FILE) from None
     if len(ls) < 5:
         raise InputError(f"the plate was measured at {len(ls)} depths up to {MAX_PLATE_UM:g} um", "5 are needed")
     if not 1 / MAX_LS < ls.max() < MAX_LS:
