@@ -36,6 +36,9 @@ MIN_CORRELATION: Final = 0.15
 """Of the cores with those of the flat field, below which a view shows too few for a statement; chosen."""
 MIN_PEAK_RATIO: Final = 1.4
 """Of the correlation over the largest one farther away than a core; chosen: of a clear peak it is 3 and more."""
+SMOOTHING_PX: Final = 0.6
+"""Standard deviation of the Gaussian that suppresses noise; chosen: with 0.8, as for the alignment of views, the
+cores of the simulated rig are not clear in live frames. Whole pixels are compared, nothing is interpolated."""
 CORE_PX: Final = 2.0
 """Distance from a peak beyond which correlations are another shift's; chosen: half a core and more."""
 MIN_MOVED_PX: Final = 0.4
@@ -161,7 +164,7 @@ class LiveAgreement:
 
     def _transform(self, view: Image) -> NDArray[np.complex64]:
         """Return the spectrum of a view's core pattern, of unit power in the compared disc."""
-        contrast = np.where(self._lit, core_contrast(view, self._radius_px), 0)
+        contrast = np.where(self._lit, core_contrast(view, self._radius_px, SMOOTHING_PX), 0)
         contrast -= self._lit * (contrast.sum() / max(np.count_nonzero(self._lit), 1))
         return np.asarray(fft.rfft2(contrast / max(float(np.linalg.norm(contrast)), 1e-9)))
 

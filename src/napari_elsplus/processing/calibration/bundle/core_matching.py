@@ -382,7 +382,7 @@ def _rotated(motion: Floats, angle: float) -> Floats:
     return np.column_stack([turn @ motion[:, :2], motion[:, 2]])
 
 
-def core_contrast(frame: Image, radius: float) -> Image:
+def core_contrast(frame: Image, radius: float, smoothing_px: float = SMOOTHING_PX) -> Image:
     """Return the contrast of the cores: light over its local mean, independent of gain and uneven light.
 
     Parameters
@@ -391,8 +391,10 @@ def core_contrast(frame: Image, radius: float) -> Image:
         (rows, cols) float32 grey levels.
     radius : float
         Of the bundle's image, px.
+    smoothing_px : float
+        Standard deviation of the Gaussian that suppresses noise, and what cannot be interpolated.
     """
-    fine = cv2.GaussianBlur(frame, (0, 0), SMOOTHING_PX)
+    fine = cv2.GaussianBlur(frame, (0, 0), smoothing_px)
     mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
     dark = float(np.percentile(mean, 1))
     floor = 0.05 * float(np.percentile(mean - dark, 95))
