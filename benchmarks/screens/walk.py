@@ -77,7 +77,8 @@ def walk_to_figure(dock: ElsPlusDock, folder: Path) -> Hand:
     start, end = (_on_canvas(compare, at) for at in LINE)
     canvas = compare.window().findChildren(QOpenGLWidget)[0]
     hand.draw_line(canvas, start, end, lambda: compare.display.line != drawn)
-    hand.click_and_confirm(compare.save_figure.native, "Save figure...", (folder / "comparison.pdf").exists)
+    saved = lambda: (folder / "comparison.pdf").exists() and not compare.work.busy  # noqa: E731
+    hand.click_and_confirm(compare.save_figure.native, "Save figure...", saved)
     return hand
 
 
