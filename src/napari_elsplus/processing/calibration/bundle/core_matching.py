@@ -389,10 +389,8 @@ def core_contrast(frame: Image, radius: float, smoothing_px: float = SMOOTHING_P
     ----------
     frame : numpy.ndarray
         (rows, cols) float32 grey levels.
-    radius : float
-        Of the bundle's image, px.
-    smoothing_px : float
-        Standard deviation of the Gaussian that suppresses noise, and what cannot be interpolated.
+    radius, smoothing_px : float
+        Of the bundle's image, px; standard deviation of the Gaussian against noise and what cannot be interpolated.
     """
     fine = cv2.GaussianBlur(frame, (0, 0), smoothing_px)
     mean = cv2.GaussianBlur(frame, (0, 0), max(4.0, radius / 12))
