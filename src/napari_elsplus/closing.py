@@ -86,6 +86,6 @@ def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
 
 def _send_to_main_thread(number: int) -> None:
     if sys.platform == "win32":
-        _thread.interrupt_main(number)
+        _thread.interrupt_main(signal.Signals(number))
     else:
         signal.pthread_kill(threading.main_thread().ident or 0, number)  # ends what it waits for, too

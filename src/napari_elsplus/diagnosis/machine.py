@@ -61,7 +61,9 @@ def screen() -> Iterator[Finding]:
 
 def cores() -> Iterator[Finding]:
     """Check that engine and napari need not share a core."""
-    count = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    count = os.cpu_count() or 1
+    if sys.platform == "linux":
+        count = len(os.sched_getaffinity(0))
     if count < 2:
         yield warning("1 processor core: camera and display will delay each other", "give this computer two or more")
     else:
