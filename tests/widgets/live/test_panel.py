@@ -32,6 +32,7 @@ from napari_elsplus.processing.calibration.steps import GALVO
 from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.live.form import CONTINUOUS, DEFAULT_LIMIT_S, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
+from napari_elsplus.widgets.live.panel import LivePanel
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.problems import problems
@@ -105,6 +106,14 @@ def test_remembered_values_that_a_field_does_not_take_leave_its_default(viewer):
     assert (forms[0].cores.value, forms[0].average.value, forms[0].chosen) == ("none", 1, ["ls", "els"])
     assert forms[0].seconds.value == 5.0
     assert (forms[1].method.value, forms[1].insertion.value, forms[1].plan.modes) == ("elsplus", "feathered", ("els",))
+
+
+def test_a_panel_that_is_deleted_before_it_was_found_docked_ends_its_engine(viewer, qtbot):
+    """Before: the engine of the next window's panels was not ended with them, since this one was still counted."""
+    panel = LivePanel(viewer)
+    client = panel.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    panel.deleteLater()
+    qtbot.waitUntil(lambda: not exists(client.pid), timeout=30_000)
 
 
 def test_park_while_a_start_is_prepared_starts_nothing(viewer, panel, qtbot):

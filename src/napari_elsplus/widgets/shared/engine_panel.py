@@ -48,6 +48,8 @@ class EnginePanel(Panel):
         self.connection = join()
         self.requests = PendingRequests(self, self.refresh)
         self._closed = False
+        self._leave = _once(self.connection.leave)
+        self.destroyed.connect(self._leave)  # also where its window is closed before the panel was found docked in it
         self._parks = 0
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
@@ -143,7 +145,18 @@ class EnginePanel(Panel):
             return
         self._closed = True
         self.requests.stop()
-        self.connection.leave()
+        self._leave()
         super().cleanup()
         if self.parent() is None:  # released by the dock, and owned by nothing else
             self.deleteLater()
+
+
+def _once(call: Callable[[], None]) -> Callable[..., None]:
+    """Return a function that makes a call the first time, whatever it is given, and nothing later."""
+    calls = [call]
+
+    def first(*_: object) -> None:
+        if calls:
+            calls.pop()()
+
+    return first
