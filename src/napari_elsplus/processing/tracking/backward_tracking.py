@@ -62,9 +62,9 @@ def completed(
     shutter = tracker.grid.shutter
     links = borne_out(poses, tracker.links)
     result = located(poses, links, shutter)
+    grid, registrar = tracker.grid.upside_down(), Registrar(tracker.registrar.grid.upside_down())
+    registrar.fall_of_correlation = FALL_OF_CORRELATION
     for begin, end in _stretches(result):
-        grid, registrar = tracker.grid.upside_down(), Registrar(tracker.registrar.grid.upside_down())
-        registrar.fall_of_correlation = FALL_OF_CORRELATION
         again, backwards = Tracker(grid, registrar, tracker.turn_rate), []
         for frame in range(end - 1, begin - 1, -1):
             again.slot()[:] = image(frame)[::-1]
@@ -110,9 +110,8 @@ def _joined(poses: list[Pose], found: Mapping[int, Pose], links: Sequence[Tracke
             continue
         before, after = poses[link.earlier], poses[link.later]
         if after.state is not TrackingState.TRACKED:
-            own = found[link.later]
             segment = 1 + max(pose.segment for pose in poses)
-            after = poses[link.later] = _timely(own).placed(0j, 0.0, segment)
+            after = poses[link.later] = _timely(found[link.later]).placed(0j, 0.0, segment)
         angle = after.angle - link.registration.turn
         at = after.at - rect(1, after.angle) * complex(*link.displacement)
         if before.state is not TrackingState.TRACKED:

@@ -53,10 +53,8 @@ def refine(
         frames are interpolated between tracked ones, and those after the last of a segment are lost.
     """
     tracked = {k: pose.segment for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
+    registered = {link.later: link for link in reversed(links)}  # the first of several, as the tracker's come first
     selector, solved = KeyframeSelector(graph.grid), 0
-    registered: dict[int, TrackedPair] = {}
-    for link in links:
-        registered.setdefault(link.later, link)
     for k in tracked:
         for node in selector.add(k, poses[k], registered.get(k)):
             graph.add(node, model)
