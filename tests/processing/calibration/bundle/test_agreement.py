@@ -164,6 +164,36 @@ def test_a_background_with_more_light_than_the_frames_is_warned_of(light: float,
     assert ("measure its background again" in grey_level_note(frames("nuclei"), wrong)) == noted
 
 
+def side_by_side(name: str, *, mirrored: bool) -> tuple[list[np.ndarray], object]:
+    """Return frames and their calibration, of a rig with its confocal view on the right if mirrored."""
+    known = true_calibration(INSTRUMENT)
+    bundle = known.bundle
+    assert bundle is not None
+    background = with_background(1).background
+    if not mirrored:
+        return frames(name), known.model_copy(update={"background": background})
+    (row, col), (other_row, other_col) = bundle.residual_centre, bundle.confocal_centre
+    width = INSTRUMENT.frame_shape[1] - 1
+    swapped = bundle.model_copy(
+        update={
+            "confocal_centre": (row, width - col),
+            "residual_centre": (other_row, width - other_col),
+            "residual_to_confocal": ((1.0, 0.0, row - other_row), (0.0, 1.0, other_col - col)),
+        }
+    )
+    return [frame[:, ::-1] for frame in frames(name)], known.model_copy(
+        update={"bundle": swapped, "background": background}
+    )
+
+
+@pytest.mark.parametrize("name", ["fibres", "sparse", "nuclei", "uniform", "empty"])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_right_view_that_is_the_brighter_one_is_warned_of(name: str, mirrored: bool) -> None:
+    """ELS+ was negative, and nothing was said."""
+    note = grey_level_note(*side_by_side(name, mirrored=mirrored))
+    assert ("times the light of the left one" in note) == mirrored
+
+
 SATURATED = r"^\d+\.\d % of the pixels are saturated: lower the laser power or the gain"
 
 

@@ -6,6 +6,9 @@ most of its edge seen, and the edge is not seen where the calibration has it.
 
 Of another bit depth is a background whose level beside the views, where no light falls, is a multiple of that of the
 frames, or a fraction of it. Saturated frames are not what any calibration could make up for, and are noted first.
+
+The residual's slit lies beside the line: in all light, of whatever depth, its view is the darker one. Where it is not,
+the views are exchanged, or the line stands on the wrong slit, and ELS+ is negative.
 """
 
 from __future__ import annotations
@@ -56,6 +59,9 @@ MIN_LIGHT_RATIO: Final = 0.75
 chosen: a laser's power, and the light of the bundle itself, change by less."""
 MIN_COMPARED_PIXELS: Final = 100
 """Beside the views, below which their level is not known; chosen."""
+MAX_RESIDUAL_RATIO: Final = 1.1
+"""Light of the residual view over that of the confocal one, both of the same gain, beyond which it is noted; chosen:
+gains of calibrations are exact to a percent, and of a lamp at the far end both views show the same."""
 LIT_PERCENTILE: Final = 25
 """Of the pixels of the views, that exceed the level beside them; chosen: else no light tells where black pixels are."""
 COMPARED_STEP_PX: Final = 4
@@ -142,7 +148,33 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
     some = [np.array(frames[number][_COMPARED]) for number in _averaged(len(frames))]
     saturated = saturation_note(float(np.mean([saturated_part(pixels) for pixels in some])))
     same_shape = calibration.background is not None and calibration.background.shape == frames[0].shape
-    return "; ".join(filter(None, (saturated, _bit_depth_note(some, calibration) if same_shape else "")))
+    notes = saturated, _bit_depth_note(some, calibration) if same_shape else "", _brighter_view_note(some, calibration)
+    return "; ".join(filter(None, notes))
+
+
+def _brighter_view_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
+    """Return the message on a residual view that is brighter than the confocal one, by some pixels of frames."""
+    bundle, background = calibration.bundle, calibration.background
+    if bundle is None:
+        return ""
+    seen = np.mean([pixels.astype(np.float32) for pixels in some], axis=0)
+    if background is not None and background[_COMPARED].shape == seen.shape:
+        seen = seen - background[_COMPARED]
+    confocal_dn, residual_dn = (float(seen[_within(seen.shape, *place)].mean()) for place in bundle.discs)
+    residual_dn /= bundle.residual_gain
+    if residual_dn <= MAX_RESIDUAL_RATIO * max(confocal_dn, 0.0) + MIN_LEVEL_DIFFERENCE:
+        return ""
+    return (
+        f"the right view has {residual_dn / max(confocal_dn, MIN_LEVEL_DIFFERENCE):.2g} times the light of the left"
+        " one, so that ELS+ is negative: the left view is to be the confocal one, with the line on its slit"
+    )
+
+
+def _within(shape: tuple[int, ...], centre: tuple[float, float], diameter_px: float) -> NDArray[np.bool_]:
+    """Return True for those of the compared pixels, of that shape, that lie within a view."""
+    row, col = (COMPARED_STEP_PX * np.arange(size) - at for size, at in zip(shape, centre, strict=True))
+    inside: NDArray[np.bool_] = np.hypot(row[:, None], col) < diameter_px / 2
+    return inside
 
 
 def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
