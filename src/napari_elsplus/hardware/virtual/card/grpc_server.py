@@ -61,138 +61,60 @@ class DaemonPool(futures.Executor):
                 future.set_exception(error)
 
 
-def answers(card: VirtualCard) -> dict[str, tuple[type, Callable[[Any], Any]]]:
-    """Return the RPCs by name, each with its request and the function of the card that answers it."""
+def answers(card: VirtualCard) -> dict[str, Callable[[Any], object]]:
+    """Return what executes the request of each RPC; a dictionary that it returns has the fields of the response.
 
-    def create_task(request: Any) -> Any:
-        handle = card.create_task(request.session_name)
-        return pb.CreateTaskResponse(task=Session(id=handle), new_session_initialized=True)
-
-    def clear_task(request: Any) -> Any:
-        card.clear_task(request.task.id)
-        return pb.ClearTaskResponse()
-
-    def start_task(request: Any) -> Any:
-        card.start_task(request.task.id)
-        return pb.StartTaskResponse()
-
-    def stop_task(request: Any) -> Any:
-        card.stop_task(request.task.id)
-        return pb.StopTaskResponse()
-
-    def is_task_done(request: Any) -> Any:
-        return pb.IsTaskDoneResponse(is_task_done=card.is_done(request.task.id))
-
-    def add_output(request: Any) -> Any:
-        card.add_output(request.task.id, request.physical_channel, request.min_val, request.max_val)
-        return pb.CreateAOVoltageChanResponse()
-
-    def add_counter(request: Any) -> Any:
-        card.add_counter(request.task.id, request.counter, request.freq)
-        return pb.CreateCOPulseChanFreqResponse()
-
-    def add_input(request: Any) -> Any:
-        card.add_channel(request.task.id, "input", request.physical_channel)
-        return pb.CreateAIVoltageChanResponse()
-
-    def add_line(request: Any) -> Any:
-        card.add_channel(request.task.id, "line", request.lines)
-        return pb.CreateDOChanResponse()
-
-    def sample_clock(request: Any) -> Any:
-        mode = request.sample_mode_raw or request.sample_mode
-        card.task(request.task.id).time_by_clock(request.source, request.rate, mode, request.samps_per_chan)
-        return pb.CfgSampClkTimingResponse()
-
-    def implicit_timing(request: Any) -> Any:
-        mode = request.sample_mode_raw or request.sample_mode
-        card.task(request.task.id).time_implicitly(mode, request.samps_per_chan)
-        return pb.CfgImplicitTimingResponse()
-
-    def start_trigger(request: Any) -> Any:
-        edge = request.trigger_edge_raw or request.trigger_edge
-        card.task(request.task.id).start_by_edge(request.trigger_source, edge)
-        return pb.CfgDigEdgeStartTrigResponse()
-
-    def trigger_bool(request: Any) -> Any:
-        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, request.value)
-        return pb.SetTrigAttributeBoolResponse()
-
-    def channel_bool(request: Any) -> Any:
-        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, request.value)
-        return pb.SetChanAttributeBoolResponse()
-
-    def write_number(request: Any) -> Any:
-        value = request.value_raw or request.value
-        card.task(request.task.id).set_attribute(request.attribute_raw or request.attribute, value)
-        return pb.SetWriteAttributeInt32Response()
-
-    def write_scalar(request: Any) -> Any:
-        card.write(request.task.id, np.array([request.value]), request.auto_start)
-        return pb.WriteAnalogScalarF64Response()
-
-    def write_many(request: Any) -> Any:
-        volts = np.array(request.write_array)
-        return pb.WriteAnalogF64Response(samps_per_chan_written=card.write(request.task.id, volts, request.auto_start))
-
-    def read_scalar(request: Any) -> Any:
-        return pb.ReadAnalogScalarF64Response(value=card.read(request.task.id))
-
-    def write_line(request: Any) -> Any:
-        card.write_line(request.task.id, bool(request.write_array[0]))
-        return pb.WriteDigitalLinesResponse(samps_per_chan_written=1)
-
-    def generated(request: Any) -> Any:
-        return pb.GetWriteAttributeUInt64Response(value=card.samples_done(request.task.id))
-
-    def channels(_: Any) -> Any:
-        return pb.GetWriteAttributeUInt32Response(value=1)
-
-    def system_number(request: Any) -> Any:
-        number = request.attribute_raw or request.attribute
-        return pb.GetSystemInfoAttributeUInt32Response(value=DRIVER_VERSION[number])
-
-    def system_text(_: Any) -> Any:
-        return pb.GetSystemInfoAttributeStringResponse(value=card.device)
-
-    def device_text(_: Any) -> Any:
-        return pb.GetDeviceAttributeStringResponse(value=PRODUCT_NAME)
-
-    def task_text(request: Any) -> Any:
-        return pb.GetTaskAttributeStringResponse(value=card.task(request.task.id).name)
-
-    def reset(request: Any) -> Any:
-        card.reset(request.device_name)
-        return pb.ResetDeviceResponse()
-
+    Parameters
+    ----------
+    card : VirtualCard
+        Executes them.
+    """
     return {
-        "CreateTask": (pb.CreateTaskRequest, create_task),
-        "ClearTask": (pb.ClearTaskRequest, clear_task),
-        "StartTask": (pb.StartTaskRequest, start_task),
-        "StopTask": (pb.StopTaskRequest, stop_task),
-        "IsTaskDone": (pb.IsTaskDoneRequest, is_task_done),
-        "CreateAOVoltageChan": (pb.CreateAOVoltageChanRequest, add_output),
-        "CreateCOPulseChanFreq": (pb.CreateCOPulseChanFreqRequest, add_counter),
-        "CreateAIVoltageChan": (pb.CreateAIVoltageChanRequest, add_input),
-        "CreateDOChan": (pb.CreateDOChanRequest, add_line),
-        "CfgSampClkTiming": (pb.CfgSampClkTimingRequest, sample_clock),
-        "CfgImplicitTiming": (pb.CfgImplicitTimingRequest, implicit_timing),
-        "CfgDigEdgeStartTrig": (pb.CfgDigEdgeStartTrigRequest, start_trigger),
-        "SetTrigAttributeBool": (pb.SetTrigAttributeBoolRequest, trigger_bool),
-        "SetChanAttributeBool": (pb.SetChanAttributeBoolRequest, channel_bool),
-        "SetWriteAttributeInt32": (pb.SetWriteAttributeInt32Request, write_number),
-        "WriteAnalogScalarF64": (pb.WriteAnalogScalarF64Request, write_scalar),
-        "WriteAnalogF64": (pb.WriteAnalogF64Request, write_many),
-        "ReadAnalogScalarF64": (pb.ReadAnalogScalarF64Request, read_scalar),
-        "WriteDigitalLines": (pb.WriteDigitalLinesRequest, write_line),
-        "GetWriteAttributeUInt32": (pb.GetWriteAttributeUInt32Request, channels),
-        "GetWriteAttributeUInt64": (pb.GetWriteAttributeUInt64Request, generated),
-        "GetSystemInfoAttributeUInt32": (pb.GetSystemInfoAttributeUInt32Request, system_number),
-        "GetSystemInfoAttributeString": (pb.GetSystemInfoAttributeStringRequest, system_text),
-        "GetDeviceAttributeString": (pb.GetDeviceAttributeStringRequest, device_text),
-        "GetTaskAttributeString": (pb.GetTaskAttributeStringRequest, task_text),
-        "ResetDevice": (pb.ResetDeviceRequest, reset),
-    }
+        "CreateTask": lambda asked: {
+            "task": Session(id=card.create_task(asked.session_name)), "new_session_initialized": True
+        },
+        "ClearTask": lambda asked: card.clear_task(asked.task.id),
+        "StartTask": lambda asked: card.start_task(asked.task.id),
+        "StopTask": lambda asked: card.stop_task(asked.task.id),
+        "IsTaskDone": lambda asked: {"is_task_done": card.is_done(asked.task.id)},
+        "CreateAOVoltageChan": lambda asked: card.add_output(
+            asked.task.id, asked.physical_channel, asked.min_val, asked.max_val
+        ),
+        "CreateCOPulseChanFreq": lambda asked: card.add_counter(asked.task.id, asked.counter, asked.freq),
+        "CreateAIVoltageChan": lambda asked: card.add_channel(asked.task.id, "input", asked.physical_channel),
+        "CreateDOChan": lambda asked: card.add_channel(asked.task.id, "line", asked.lines),
+        "CfgSampClkTiming": lambda asked: card.task(asked.task.id).time_by_clock(
+            asked.source, asked.rate, _number(asked, "sample_mode"), asked.samps_per_chan
+        ),
+        "CfgImplicitTiming": lambda asked: card.task(asked.task.id).time_implicitly(
+            _number(asked, "sample_mode"), asked.samps_per_chan
+        ),
+        "CfgDigEdgeStartTrig": lambda asked: card.task(asked.task.id).start_by_edge(
+            asked.trigger_source, _number(asked, "trigger_edge")
+        ),
+        **dict.fromkeys(
+            ("SetTrigAttributeBool", "SetChanAttributeBool", "SetWriteAttributeInt32"),
+            lambda asked: card.task(asked.task.id).set_attribute(_number(asked, "attribute"), _number(asked, "value")),
+        ),
+        "WriteAnalogScalarF64": lambda asked: card.write(asked.task.id, np.array([asked.value]), asked.auto_start),
+        "WriteAnalogF64": lambda asked: {
+            "samps_per_chan_written": card.write(asked.task.id, np.array(asked.write_array), asked.auto_start)
+        },
+        "ReadAnalogScalarF64": lambda asked: {"value": card.read(asked.task.id)},
+        "WriteDigitalLines": lambda asked: card.write_line(asked.task.id, bool(asked.write_array[0])),
+        "GetWriteAttributeUInt32": lambda _: {"value": 1},  # channels of the task
+        "GetWriteAttributeUInt64": lambda asked: {"value": card.samples_done(asked.task.id)},
+        "GetSystemInfoAttributeUInt32": lambda asked: {"value": DRIVER_VERSION[_number(asked, "attribute")]},
+        "GetSystemInfoAttributeString": lambda _: {"value": card.device},
+        "GetDeviceAttributeString": lambda _: {"value": PRODUCT_NAME},
+        "GetTaskAttributeString": lambda asked: {"value": card.task(asked.task.id).name},
+        "ResetDevice": lambda asked: card.reset(asked.device_name),
+    }  # fmt: skip
+
+
+def _number(asked: Any, name: str) -> int:
+    """Return a field of a request, which clients send as an enumeration's member or as its number."""
+    return int(getattr(asked, f"{name}_raw", 0) or getattr(asked, name))
 
 
 class CardServer(ClosedOnExit):
@@ -207,7 +129,7 @@ class CardServer(ClosedOnExit):
     def __init__(self, card: VirtualCard) -> None:
         self._pool = DaemonPool()
         self._server = grpc.server(self._pool)
-        handlers = {name: self._handler(*answer) for name, answer in answers(card).items()}
+        handlers = {name: self._handler(name, answer) for name, answer in answers(card).items()}
         self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         self.address = f"127.0.0.1:{self._server.add_insecure_port('127.0.0.1:0')}"
         before = set(threading.enumerate())
@@ -221,16 +143,19 @@ class CardServer(ClosedOnExit):
         self._pool.shutdown()
 
     @staticmethod
-    def _handler(request: Any, answer: Callable[[Any], Any]) -> grpc.RpcMethodHandler:
+    def _handler(name: str, answer: Callable[[Any], object]) -> grpc.RpcMethodHandler:
+        request, response = getattr(pb, f"{name}Request"), getattr(pb, f"{name}Response")
+
         def respond(message: Any, context: grpc.ServicerContext) -> Any:
             try:
-                return answer(message)
+                found = answer(message)
             except CardError as error:
                 context.set_trailing_metadata((("ni-error", str(error.code)),))
                 context.abort(grpc.StatusCode.UNKNOWN, str(error))
+            return response(**found) if isinstance(found, dict) else response()
 
         return grpc.unary_unary_rpc_method_handler(
             respond,
             request_deserializer=request.FromString,
-            response_serializer=lambda response: response.SerializeToString(),
+            response_serializer=response.SerializeToString,
         )
