@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from napari_elsplus.hardware.virtual.camera import description as xml
+import camera_description as xml
 from napari_elsplus.hardware.virtual.camera.memory import Register, number, real
 from napari_elsplus.hardware.virtual.camera.sensor import SensorModel
 from napari_elsplus.hardware.virtual.camera.standard import ACCESS_DENIED, INVALID_PARAMETER, Refusal

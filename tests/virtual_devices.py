@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from camera_description import add_description
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
@@ -25,6 +26,7 @@ from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
 from napari_elsplus.instrument.calibration import Calibration
 from ni_library import replacing_ni_library
+from sfnc_camera import StandardRegisters
 
 LINE_PERIOD_S = 1 / 130_750.6
 PARK_V = -0.7
@@ -115,7 +117,9 @@ class CameraBench:
 def cameras() -> Callable[..., CameraBench]:
     def make(real_time: bool = True, **camera: object) -> CameraBench:
         bench = PlainBench(real_time)
-        plug = Plug(VirtualCamera(bench, **{"serial": "4711", **camera}))
+        device = VirtualCamera(bench, **{"serial": "4711", **camera})
+        add_description(device, device.make.describe() if isinstance(device.make, StandardRegisters) else None)
+        plug = Plug(device)
         return CameraBench(bench, plug, VirtualBus(plug))
 
     return make

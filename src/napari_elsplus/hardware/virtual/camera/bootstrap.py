@@ -1,4 +1,4 @@
-"""Bootstrap registers of the virtual camera: ABRM and manifest of GenCP, SBRM and SIRM of USB3 Vision."""
+"""Bootstrap registers of the virtual camera: ABRM of GenCP, SBRM and SIRM of USB3 Vision."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from napari_elsplus.hardware.virtual.camera.standard import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SBRM, SIRM, MANIFEST, XML = 0x1_0000, 0x2_0000, 0x3_0000, 0x4_0000
+SBRM, SIRM, MANIFEST = 0x1_0000, 0x2_0000, 0x3_0000
 """Addresses of the register blocks; chosen, a host has to read them."""
 MAX_TRANSFER: Final = 1024
 """Bytes of a command or an acknowledgement at most."""
@@ -96,19 +96,7 @@ def abrm(identity: Identity, timestamp: Timestamp) -> dict[int, Register]:
         0x01FC: number(lambda: 1, size=8),
         0x0208: constant(bytes(4)),
         0x020C: constant(bytes(4)),
-    }
-
-
-def manifest(description: bytes) -> dict[int, Register]:
-    """Return the table of descriptions (GenCP 1.1, manifest table), with one, and the description."""
-    return {
-        MANIFEST: number(lambda: 1, size=8),
-        MANIFEST + 0x08: number(lambda: 0x0101_0000),  # version 1.1.0 of the file, not compressed
-        MANIFEST + 0x0C: number(lambda: 0x0101 << 16 | 0),  # schema 1.1
-        MANIFEST + 0x10: number(lambda: XML, size=8),
-        MANIFEST + 0x18: number(lambda: len(description), size=8),
-        MANIFEST + 0x20: constant(bytes(40)),  # SHA-1 (not given) and reserved bytes
-        XML: constant(description),
+        MANIFEST: number(lambda: 0, size=8),  # the camera has no description of itself
     }
 
 

@@ -88,7 +88,7 @@ class Bench(Protocol):
 
 
 class Make(Protocol):
-    """Registers of a make of camera, and its description of them."""
+    """Registers of a make of camera."""
 
     name: ClassVar[str]
     model: ClassVar[SensorModel]
@@ -98,9 +98,6 @@ class Make(Protocol):
 
     def registers(self) -> dict[int, Register]:
         """Return the registers by their addresses."""
-
-    def describe(self) -> bytes:
-        """Return the description, as XML."""
 
     def strobe_delay_s(self, line: int) -> float | None:
         """Seconds from the beginning of the exposure to the edge on a line; None: there is none."""
@@ -142,8 +139,7 @@ class VirtualCamera:
         self.memory = Memory()
         timestamp = Timestamp(self.identity, lambda: self._ticks(bench.clock.now_s()))
         for registers in (
-            bootstrap.abrm(self.identity, timestamp), bootstrap.sbrm(), bootstrap.manifest(self.make.describe()),
-            self.stream.registers(), self.make.registers(),
+            bootstrap.abrm(self.identity, timestamp), bootstrap.sbrm(), self.stream.registers(), self.make.registers(),
         ):  # fmt: skip
             self.memory.add(registers)
         self.control_endpoint = ControlEndpoint(self.memory, self.faults, bench.clock)

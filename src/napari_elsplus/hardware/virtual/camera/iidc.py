@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from napari_elsplus.hardware.virtual.camera import description as xml
 from napari_elsplus.hardware.virtual.camera.memory import Register, number, real
 from napari_elsplus.hardware.virtual.camera.sensor import SensorModel
 from napari_elsplus.hardware.virtual.camera.standard import INVALID_PARAMETER, Refusal
@@ -108,50 +107,6 @@ class Flea3Registers:
             registers[STROBES + 0x300 + 4 * line] = _item(pins.strobe, line)
             registers[STROBES + 0x400 + 4 * line] = _item(pins.times, line)
         return registers
-
-    def describe(self) -> bytes:
-        """Return the description, as XML."""
-        rows, cols = self.model.shape
-        nodes = {"TLParamsLocked": '<Integer Name="TLParamsLocked"><Value>0</Value></Integer>'}
-        for name, at, bits, low, step, size in (
-            ("Width", 0xA0C, (16, 31), 16, 16, cols), ("Height", 0xA0C, (0, 15), 4, 4, rows),
-            ("OffsetX", 0xA08, (16, 31), 0, 4, cols), ("OffsetY", 0xA08, (0, 15), 0, 2, rows),
-        ):  # fmt: skip
-            other = {"Width": "OffsetX", "Height": "OffsetY", "OffsetX": "Width", "OffsetY": "Height"}[name]
-            nodes[name] = xml.integer(name, f"{name}Reg", low=low, high=f"{name}Max", step=step)
-            nodes[name] += xml.register(f"{name}Reg", COMMANDS + at, bits=bits)
-            nodes[name] += (
-                f'<IntSwissKnife Name="{name}Max"><pVariable Name="OTHER">{other}Reg</pVariable>'
-                f"<Formula>{size} - OTHER</Formula></IntSwissKnife>"
-            )
-        nodes["PayloadSize"] = xml.register("PayloadSize", COMMANDS + 0x5410, access="RO")
-        nodes["ExposureTime"] = (
-            '<Converter Name="ExposureTime"><FormulaTo>FROM/1000000</FormulaTo><FormulaFrom>TO*1000000</FormulaFrom>'
-            "<pValue>ExposureSeconds</pValue><Unit>us</Unit></Converter>"
-        ) + xml.real("ExposureSeconds", COMMANDS + 0x918, COMMANDS + 0x910, COMMANDS + 0x914, "s")
-        nodes["Gain"] = xml.real("Gain", COMMANDS + 0x928, COMMANDS + 0x920, COMMANDS + 0x924, "dB")
-        rate = "AcquisitionFrameRate"
-        nodes[rate] = xml.real(rate, COMMANDS + 0x968, COMMANDS + 0x960, COMMANDS + 0x964, "Hz")
-        nodes[f"{rate}Enabled"] = xml.boolean(f"{rate}Enabled", "RateOnReg")
-        nodes[f"{rate}Enabled"] += xml.register("RateOnReg", COMMANDS + 0x83C, bits=(25, 25))
-        choice = {"Off": 0, "Continuous": 1}
-        for name, at in ((f"{rate}Auto", 0x83C), ("ExposureAuto", 0x81C), ("GainAuto", 0x820)):
-            nodes[name] = xml.enumeration(name, f"{name}Reg", choice)
-            nodes[name] += xml.register(f"{name}Reg", COMMANDS + at, bits=(24, 24))
-        for name, at in (("TriggerMode", 0x830), ("GammaEnabled", 0x818)):
-            node = xml.enumeration(name, f"{name}Reg", {"Off": 0, "On": 1})
-            node = xml.boolean(name, f"{name}Reg") if name == "GammaEnabled" else node
-            nodes[name] = node + xml.register(f"{name}Reg", COMMANDS + at, bits=(25, 25))
-        nodes["AcquisitionStart"] = xml.command("AcquisitionStart", "AcquisitionReg", 1 << 31)
-        nodes["AcquisitionStop"] = xml.command("AcquisitionStop", "AcquisitionReg", 0)
-        nodes["AcquisitionStop"] += xml.register("AcquisitionReg", COMMANDS + 0x4030)
-        nodes["PixelFormat"] = xml.enumeration("PixelFormat", "CodingReg", {"Mono8": 0}, locked=True)
-        nodes["PixelFormat"] += xml.register("CodingReg", COMMANDS + 0x4070, bits=(24, 31))
-        nodes["LineMode"] = xml.enumeration("LineMode", "LineModeReg", {"Input": 0, "Output": 3})
-        nodes["LineMode"] += xml.register("LineModeReg", COMMANDS + 0x1120, bits=(16, 19))
-        nodes["LineSource"] = xml.enumeration("LineSource", "LineSourceReg", {"Off": 0, "ExposureActive": 1})
-        nodes["LineSource"] += xml.register("LineSourceReg", STROBES + 0x304, bits=(20, 20))
-        return xml.description("VirtualFlea3", nodes)
 
     def _switch(self, name: str) -> Register:
         """Control register of a feature that is on or off."""

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from napari_elsplus.hardware.virtual.camera.bootstrap import MANIFEST
+from napari_elsplus.hardware.virtual.camera.iidc import COMMANDS, STROBES, Flea3Registers
+from napari_elsplus.hardware.virtual.camera.memory import constant, number
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from napari_elsplus.hardware.virtual.camera.device import VirtualCamera
+
+XML: Final = 0x4_0000
+"""Address of the description; chosen, a host has to read it."""
 HEADER: Final = """<?xml version="1.0" encoding="utf-8"?>
 <RegisterDescription ModelName="{model}" VendorName="napari_elsplus"
  StandardNameSpace="None" SchemaMajorVersion="1" SchemaMinorVersion="1" SchemaSubMinorVersion="0"
@@ -165,3 +173,64 @@ def command(name: str, value: str, code: int) -> str:
         Value that is written.
     """
     return f'<Command Name="{name}"><pValue>{value}</pValue><CommandValue>{code}</CommandValue></Command>'
+
+
+def describe_flea3() -> bytes:
+    """Return the description of the virtual Flea3, as XML."""
+    rows, cols = Flea3Registers.model.shape
+    nodes = {"TLParamsLocked": '<Integer Name="TLParamsLocked"><Value>0</Value></Integer>'}
+    for name, at, bits, low, step, size in (
+        ("Width", 0xA0C, (16, 31), 16, 16, cols), ("Height", 0xA0C, (0, 15), 4, 4, rows),
+        ("OffsetX", 0xA08, (16, 31), 0, 4, cols), ("OffsetY", 0xA08, (0, 15), 0, 2, rows),
+    ):  # fmt: skip
+        other = {"Width": "OffsetX", "Height": "OffsetY", "OffsetX": "Width", "OffsetY": "Height"}[name]
+        nodes[name] = integer(name, f"{name}Reg", low=low, high=f"{name}Max", step=step)
+        nodes[name] += register(f"{name}Reg", COMMANDS + at, bits=bits)
+        nodes[name] += (
+            f'<IntSwissKnife Name="{name}Max"><pVariable Name="OTHER">{other}Reg</pVariable>'
+            f"<Formula>{size} - OTHER</Formula></IntSwissKnife>"
+        )
+    nodes["PayloadSize"] = register("PayloadSize", COMMANDS + 0x5410, access="RO")
+    nodes["ExposureTime"] = (
+        '<Converter Name="ExposureTime"><FormulaTo>FROM/1000000</FormulaTo><FormulaFrom>TO*1000000</FormulaFrom>'
+        "<pValue>ExposureSeconds</pValue><Unit>us</Unit></Converter>"
+    ) + real("ExposureSeconds", COMMANDS + 0x918, COMMANDS + 0x910, COMMANDS + 0x914, "s")
+    nodes["Gain"] = real("Gain", COMMANDS + 0x928, COMMANDS + 0x920, COMMANDS + 0x924, "dB")
+    rate = "AcquisitionFrameRate"
+    nodes[rate] = real(rate, COMMANDS + 0x968, COMMANDS + 0x960, COMMANDS + 0x964, "Hz")
+    nodes[f"{rate}Enabled"] = boolean(f"{rate}Enabled", "RateOnReg")
+    nodes[f"{rate}Enabled"] += register("RateOnReg", COMMANDS + 0x83C, bits=(25, 25))
+    choice = {"Off": 0, "Continuous": 1}
+    for name, at in ((f"{rate}Auto", 0x83C), ("ExposureAuto", 0x81C), ("GainAuto", 0x820)):
+        nodes[name] = enumeration(name, f"{name}Reg", choice)
+        nodes[name] += register(f"{name}Reg", COMMANDS + at, bits=(24, 24))
+    for name, at in (("TriggerMode", 0x830), ("GammaEnabled", 0x818)):
+        node = enumeration(name, f"{name}Reg", {"Off": 0, "On": 1})
+        node = boolean(name, f"{name}Reg") if name == "GammaEnabled" else node
+        nodes[name] = node + register(f"{name}Reg", COMMANDS + at, bits=(25, 25))
+    nodes["AcquisitionStart"] = command("AcquisitionStart", "AcquisitionReg", 1 << 31)
+    nodes["AcquisitionStop"] = command("AcquisitionStop", "AcquisitionReg", 0)
+    nodes["AcquisitionStop"] += register("AcquisitionReg", COMMANDS + 0x4030)
+    nodes["PixelFormat"] = enumeration("PixelFormat", "CodingReg", {"Mono8": 0}, locked=True)
+    nodes["PixelFormat"] += register("CodingReg", COMMANDS + 0x4070, bits=(24, 31))
+    nodes["LineMode"] = enumeration("LineMode", "LineModeReg", {"Input": 0, "Output": 3})
+    nodes["LineMode"] += register("LineModeReg", COMMANDS + 0x1120, bits=(16, 19))
+    nodes["LineSource"] = enumeration("LineSource", "LineSourceReg", {"Off": 0, "ExposureActive": 1})
+    nodes["LineSource"] += register("LineSourceReg", STROBES + 0x304, bits=(20, 20))
+    return description("VirtualFlea3", nodes)
+
+
+def add_description(camera: VirtualCamera, xml: bytes | None = None) -> None:
+    """Give a virtual camera the table of descriptions (GenCP 1.1, manifest table), with one: by default a Flea3's."""
+    text = describe_flea3() if xml is None else xml
+    camera.memory.add(
+        {
+            MANIFEST: number(lambda: 1, size=8),
+            MANIFEST + 0x08: number(lambda: 0x0101_0000),  # version 1.1.0 of the file, not compressed
+            MANIFEST + 0x0C: number(lambda: 0x0101 << 16 | 0),  # schema 1.1
+            MANIFEST + 0x10: number(lambda: XML, size=8),
+            MANIFEST + 0x18: number(lambda: len(text), size=8),
+            MANIFEST + 0x20: constant(bytes(40)),  # SHA-1 (not given) and reserved bytes
+            XML: constant(text),
+        }
+    )
