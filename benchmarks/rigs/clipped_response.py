@@ -52,10 +52,10 @@ def clipped_response(instrument: Instrument, depth_um: ArrayLike) -> ModelRespon
 
     Examples
     --------
-    >>> from napari_elsplus.simulation.model.axial_response import axial_response
+    >>> from napari_elsplus.simulation.model.axial_response import model_response
     >>> from napari_elsplus.simulation.model.instrument import Instrument
     >>> instrument = Instrument.of("120hz", slit_um=2.9, offset_um=29)
-    >>> rimless = axial_response(550.0, offset_um=29, slit_um=instrument.slit_um).ls
+    >>> rimless = model_response(550.0, offset_um=29, slit_um=instrument.slit_um).ls
     >>> bool(0.94 < clipped_response(instrument, 550.0).ls / rimless < 0.97)
     True
     """
