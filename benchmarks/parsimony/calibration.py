@@ -14,9 +14,10 @@ from benchmarks.choices.pair import Lit
 from benchmarks.choices.pair import judge as judge_pair
 from benchmarks.harness.methods import Benchmark, Case, Chart, Judgement, Method, Role
 from benchmarks.rigs.random_rigs import Rig
-from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel, CoreMatcher
+from napari_elsplus.processing.calibration.bundle.core_matching import CoreMatcher
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.bundle.view_alignment import align_views
+from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 from napari_elsplus.processing.calibration.galvo import visible_line
 
 if TYPE_CHECKING:
@@ -99,12 +100,12 @@ def _drawn(seed: int, turn_deg: float) -> Rig:
     return replace(Rig.draw(seed).with_photons(300.0), turn_deg=turn_deg, scale=scale)
 
 
-def _model(model: AlignmentModel) -> Callable[[Case], Callable[[Lit], Floats]]:
+def _model(model: ViewModel) -> Callable[[Case], Callable[[Lit], Floats]]:
     def align(item: Lit) -> Floats:
         frame = item.frame.astype(np.float32)
         left, right = locate_pair(frame)
         matcher = CoreMatcher(frame, left, right)
-        motion = matcher.fit(matcher.start(), model).motion
+        motion = matcher.motion(matcher.fit(matcher.start(), model).coefficients)
         back = np.linalg.inv(motion[:, :2])
         shift = np.array(left.centre) - back @ (np.array(right.centre) + motion[:, 2])
         return np.column_stack([back, shift])
@@ -122,10 +123,10 @@ PAIR = Benchmark(
     error_label="largest misplacement / px",
     cases=_pair_cases,
     methods=(
-        Method("shift", Role.OPTION, _model(AlignmentModel.SHIFT), 2),
-        Method("similarity", Role.OPTION, _model(AlignmentModel.SIMILARITY), 4),
+        Method("shift", Role.OPTION, _model(ViewModel.SHIFT), 2),
+        Method("similarity", Role.OPTION, _model(ViewModel.SIMILARITY), 4),
         Method("chosen by BIC", Role.DEFAULT, lambda _: _chosen),
-        Method("affine", Role.OPTION, _model(AlignmentModel.AFFINE), 6),
+        Method("affine", Role.OPTION, _model(ViewModel.AFFINE), 6),
     ),
     judge=judge_pair,
     chart=Chart.PARSIMONY,

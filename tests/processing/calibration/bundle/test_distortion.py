@@ -11,8 +11,8 @@ from scipy.optimize import fsolve
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
 from napari_elsplus.processing.calibration.bundle.pair import BundlePair
+from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.measurements import measure_pair
 from napari_elsplus.processing.calibration.sections import apply_pair
@@ -85,7 +85,7 @@ def test_a_distortion_of_one_percent_is_modelled_and_what_is_left_is_stated(
 ) -> None:
     rig = bright_rig(seed)
     pair, error, calibration = aligned(rig, disturbed, share)
-    assert pair.alignment.model is DistortionModel.RADIAL
+    assert pair.alignment.model is ViewModel.RADIAL
     assert calibration.content()["version"] == 2
     assert error < 1.3 * clean_error(seed)
     assert map_error_px(pair, rig, disturbed, share) < 2 * pair.alignment.uncertainty_px < 0.03
@@ -95,7 +95,7 @@ def test_a_distortion_of_one_percent_is_modelled_and_what_is_left_is_stated(
 def test_a_map_contains_the_terms_of_its_model_alone(seed: int) -> None:
     """Those of the cubic fit that it begins from had stayed: at the rim errors were 1.6 times what is stated."""
     found = aligned(bright_rig(seed), "right", 0.004)[0].alignment
-    assert found.model is DistortionModel.RADIAL
+    assert found.model is ViewModel.RADIAL
     assert found.distortion is not None
     span, distortion = found.model.basis.reshape(-1, found.distortion.size), found.distortion.ravel()
     of_model = span.T @ np.linalg.lstsq(span.T, distortion)[0]
@@ -112,12 +112,12 @@ def test_views_without_distortion_need_no_more_than_the_affine_map(seed: int) ->
 @pytest.mark.parametrize(
     ("disturbed", "share", "models"),
     [
-        ("right", 0.01, {DistortionModel.RADIAL}),
-        ("lens", 0.01, {DistortionModel.RADIAL, DistortionModel.CUBIC}),
+        ("right", 0.01, {ViewModel.RADIAL}),
+        ("lens", 0.01, {ViewModel.RADIAL, ViewModel.CUBIC}),
     ],
 )
 def test_finely_sampled_views_are_aligned_although_distortion_displaces_the_rim_by_a_core(
-    disturbed: str, share: float, models: set[DistortionModel]
+    disturbed: str, share: float, models: set[ViewModel]
 ) -> None:
     rig = Rig(left=(340.0, 345.0), right=(310.0, 1010.0), diameter_px=640.0, pitch_px=3.3, photons=600.0, turn_deg=0.3)
     pair, _, _ = aligned(rig, disturbed, share)

@@ -7,10 +7,9 @@ import pytest
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.processing.calibration.bundle import view_alignment
-from napari_elsplus.processing.calibration.bundle.core_matching import TileShifts
-from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
-from napari_elsplus.processing.calibration.bundle.distortion_evidence import distortion_evidence
+from napari_elsplus.processing.calibration.bundle.distortion_evidence import TileShifts, distortion_evidence
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
+from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 
 RADIUS_PX = 140.0
 
@@ -41,7 +40,7 @@ def test_radial_distortion_about_any_centre_is_found(centre: tuple[float, float]
     for seed in range(20):
         evidence = distortion_evidence(shifts(seed, 0.4, centre), RADIUS_PX)
         assert evidence.needs_distortion
-        assert min(evidence.criterion, key=lambda model: evidence.criterion[model]) is DistortionModel.RADIAL
+        assert min(evidence.criterion, key=lambda model: evidence.criterion[model]) is ViewModel.RADIAL
 
 
 def test_little_distortion_is_not_modelled_but_left_over() -> None:

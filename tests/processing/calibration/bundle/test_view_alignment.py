@@ -12,9 +12,9 @@ import tifffile
 
 from benchmarks.rigs.random_rigs import Rig
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.calibration.bundle.core_matching import AlignmentModel
 from napari_elsplus.processing.calibration.bundle.location import locate_pair
 from napari_elsplus.processing.calibration.bundle.view_alignment import Alignment, align_views
+from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.calibration.draft import Setup
 from napari_elsplus.processing.calibration.measurements import measure_pair
@@ -39,14 +39,14 @@ def error_px(found: Alignment, rig: Rig) -> float:
 @pytest.mark.parametrize(
     ("turn_deg", "scale", "gain", "model"),
     [
-        (0.0, 1.0, 1.0, AlignmentModel.SHIFT),
-        (0.3, 1.005, 0.93, AlignmentModel.SIMILARITY),
-        (-1.5, 0.99, 1.2, AlignmentModel.SIMILARITY),
+        (0.0, 1.0, 1.0, ViewModel.SHIFT),
+        (0.3, 1.005, 0.93, ViewModel.SIMILARITY),
+        (-1.5, 0.99, 1.2, ViewModel.SIMILARITY),
     ],
 )
 @pytest.mark.parametrize("photons", [1000.0, 12.0])
 def test_map_model_and_gain_are_true(
-    turn_deg: float, scale: float, gain: float, model: AlignmentModel, photons: float
+    turn_deg: float, scale: float, gain: float, model: ViewModel, photons: float
 ) -> None:
     rig = replace(RIG, turn_deg=turn_deg, scale=scale, gain=gain, photons=photons)
     rig = replace(rig, electrons_per_dn=max(photons / 120, 1.0), read_noise_e=1.5)
@@ -84,7 +84,7 @@ def test_a_pair_that_is_sheared_is_aligned_as_such() -> None:
 
     rig = Sheared(RIG.left, RIG.right, RIG.diameter_px)
     found = aligned(rig)
-    assert found.model is AlignmentModel.AFFINE
+    assert found.model is ViewModel.AFFINE
     assert error_px(found, rig) < 0.05
 
 

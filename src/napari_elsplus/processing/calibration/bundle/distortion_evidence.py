@@ -1,6 +1,6 @@
 """Evidence for distortion in the shifts that an affine fit leaves over in the tiles of the disc.
 
-The shifts are a by-product of the fit, so that views without distortion are not fitted again. Their scatter about the
+The shifts are those of one step, so that views without distortion are not fitted again. Their scatter about the
 fullest model is their noise: photons, and cores that the camera's pixels sample differently in the two views.
 """
 
@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, TileShifts, circle_points
-from napari_elsplus.processing.calibration.bundle.distortion import DistortionModel
+from napari_elsplus.processing.calibration.bundle.core_matching import (
+    COMPARED_DISC,
+    CoreFit,
+    CoreMatcher,
+    circle_points,
+    newton_step,
+    slopes,
+    tiles,
+)
+from napari_elsplus.processing.calibration.bundle.view_maps import DISTORTED, ViewModel
 from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
@@ -23,6 +31,59 @@ if TYPE_CHECKING:
 MIN_DISTORTION_PX: Final = 0.02
 """Root mean square over the disc below which distortion is part of the uncertainty; chosen: it adds a tenth of the
 alignment error of clean views."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileShifts:
+    """Shift of the cores that a fit leaves over, by tile of the disc.
+
+    Parameters
+    ----------
+    rows, cols : numpy.ndarray
+        Mean position about the confocal centre, px, shape (tiles,).
+    scores : numpy.ndarray
+        Gradient of the match by the shift (row, col), shape (tiles, 2).
+    curvature : numpy.ndarray
+        Negative derivative of the scores by the shift, shape (tiles, 2, 2): the shift is that of scores over curvature.
+    """
+
+    rows: Floats
+    cols: Floats
+    scores: Floats
+    curvature: Floats
+
+    @classmethod
+    def left_over(cls, matcher: CoreMatcher, fit: CoreFit) -> TileShifts:
+        """Return what a fit to the cores leaves over.
+
+        Parameters
+        ----------
+        matcher : CoreMatcher
+            The cores.
+        fit : CoreFit
+            To the whole disc.
+        """
+
+        def summed(values: Floats) -> Floats:
+            sums = np.zeros((count, *values.shape[1:]))
+            np.add.at(sums, tile, values)
+            return sums[filled]
+
+        inside = matcher.inside
+        tile, count = tiles(matcher.rows, matcher.cols)
+        pixels = np.bincount(tile, minlength=count)
+        filled = pixels > 0
+        views = matcher.confocal, matcher.residual_view(matcher.contrast, fit.coefficients)
+        moves = np.tensordot(ViewModel.SHIFT.basis, matcher.terms[:, inside], 1)
+        target, found = (view[inside].astype(np.float64) for view in views)
+        of_target, of_found = (slopes(view, moves, inside) for view in views)
+        products = of_target[:, :, None] * of_found[:, None, :]
+        return cls(
+            rows=summed(matcher.rows) / pixels[filled],
+            cols=summed(matcher.cols) / pixels[filled],
+            scores=summed(newton_step(target, found, of_target, of_found)[1]),
+            curvature=summed((products + products.swapaxes(1, 2)) / 2),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +100,7 @@ class DistortionEvidence:
         The same along a row or column at the rim of the compared disc, less what chance explains.
     """
 
-    criterion: dict[DistortionModel, float]
+    criterion: dict[ViewModel, float]
     rms_px: float
     left_over_px: float
 
@@ -47,7 +108,7 @@ class DistortionEvidence:
     def needs_distortion(self) -> bool:
         """True if a model of distortion has the lowest criterion, and the displacement is worth modelling."""
         best = min(self.criterion, key=lambda model: self.criterion[model])
-        return best is not DistortionModel.AFFINE and self.rms_px >= MIN_DISTORTION_PX
+        return best is not ViewModel.AFFINE and self.rms_px >= MIN_DISTORTION_PX
 
 
 def distortion_evidence(shifts: TileShifts, radius_px: float) -> DistortionEvidence:
@@ -71,11 +132,11 @@ def distortion_evidence(shifts: TileShifts, radius_px: float) -> DistortionEvide
     shift = np.linalg.solve(shifts.curvature[usable], shifts.scores[usable][..., None])
     measured = (roots @ shift).ravel()
     count = len(measured)
-    if count <= 2 * len(DistortionModel.CUBIC.basis):
-        return DistortionEvidence({DistortionModel.AFFINE: 0.0}, 0.0, 0.0)
+    if count <= 2 * len(ViewModel.CUBIC.basis):
+        return DistortionEvidence({ViewModel.AFFINE: 0.0}, 0.0, 0.0)
     terms = polynomial_terms(shifts.rows[usable] / radius_px, shifts.cols[usable] / radius_px)
     criterion = {}
-    for model in DistortionModel:
+    for model in DISTORTED:
         design = (roots @ np.moveaxis(model.basis @ terms, -1, 0).swapaxes(1, 2)).reshape(count, -1)
         parameters = np.linalg.lstsq(design, measured, rcond=None)[0]
         misfit = float(np.square(measured - design @ parameters).sum())
@@ -106,9 +167,9 @@ def _beyond_affine(at: Floats, over: Floats) -> Floats:
         (2 * positions, parameters).
     """
 
-    def displacements(model: DistortionModel, terms: Floats) -> Floats:
+    def displacements(model: ViewModel, terms: Floats) -> Floats:
         return np.asarray((model.basis @ terms).reshape(len(model.basis), -1).T, np.float64)
 
-    affine, full = DistortionModel.AFFINE, DistortionModel.CUBIC
+    affine, full = ViewModel.AFFINE, ViewModel.CUBIC
     affine_part = np.linalg.pinv(displacements(affine, over)) @ displacements(full, over)
     return displacements(full, at) - displacements(affine, at) @ affine_part

@@ -13,7 +13,7 @@ from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_
 from napari_elsplus.processing.images.resampling import cropped
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -37,8 +37,8 @@ def measure_gain(
     frame: NDArray[np.float32],
     confocal: Disc,
     residual: Disc,
-    residual_view: Callable[[Image], Image],
     matcher: CoreMatcher,
+    coefficients: Floats,
     saturated: NDArray[np.bool_] | None,
 ) -> tuple[float, float]:
     """Return the brightness of the residual view over the confocal, each above darkness, and its uncertainty.
@@ -49,10 +49,10 @@ def measure_gain(
         (rows, cols) float32, the bundle lit from its far end.
     confocal, residual : Disc
         The bundle images in it.
-    residual_view : callable
-        Resamples a frame onto the matcher's grid, the residual view aligned with the confocal one.
     matcher : CoreMatcher
         The grid, and its pixels that are compared.
+    coefficients : numpy.ndarray
+        (2, 10) map from the confocal to the residual view.
     saturated : numpy.ndarray or None
         (rows, cols), bool: pixels that are left out.
 
@@ -65,7 +65,8 @@ def measure_gain(
     above_dark = frame - _spread_out(plane, frame)
 
     def both(image: Image) -> list[Image]:
-        return [view[matcher.inside] for view in (cropped(image, confocal.centre, matcher.side), residual_view(image))]
+        views = cropped(image, confocal.centre, matcher.side), matcher.residual_view(image, coefficients)
+        return [view[matcher.inside] for view in views]
 
     first, second = both(above_dark)
     tile, count = tiles(matcher.rows, matcher.cols)

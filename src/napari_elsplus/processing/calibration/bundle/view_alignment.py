@@ -13,26 +13,28 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import information_criterion
 from napari_elsplus.processing.calibration.bundle.core_matching import (
     MAX_ROTATION_DEG,
     MAX_SEARCHED_ROTATION_DEG,
-    AlignmentModel,
     CoreFit,
     CoreMatcher,
     DifferentCoresError,
     UnresolvedCoresError,
 )
-from napari_elsplus.processing.calibration.bundle.distortion import DistortionMatcher, DistortionModel
-from napari_elsplus.processing.calibration.bundle.distortion_evidence import MIN_DISTORTION_PX, distortion_evidence
+from napari_elsplus.processing.calibration.bundle.distortion_evidence import (
+    MIN_DISTORTION_PX,
+    TileShifts,
+    distortion_evidence,
+)
 from napari_elsplus.processing.calibration.bundle.gain import measure_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc
+from napari_elsplus.processing.calibration.bundle.view_maps import DISTORTED, UNDISTORTED, ViewModel, affine_map
 from napari_elsplus.processing.images.cores import core_pitch_px
-from napari_elsplus.processing.images.resampling import cropped, resampled
-from napari_elsplus.processing.images.warping import warped
+from napari_elsplus.processing.images.resampling import cropped
+from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -65,6 +67,18 @@ SAMPLING_PX: Final = 0.0015
 does not contain; measured: with it, slit offsets by the cores of 38 imperfect rigs (seeds of 5600 to 5702; 0.0028 rows
 RMS in their middle) are 1.0 standard deviations off, RMS."""
 
+GROWING: Final = (0.35, 0.5, 0.65, 0.8)
+"""Parts of the bundle's radius on which the fit of a distorted view begins; chosen: a lens distorted by 1 % displaces
+the cores of each by less than a third of their spacing from where the fit to the one before expects them."""
+SCALES: Final = (1.0, 0.99, 1.01, 0.98, 1.02)
+"""Scales of the middle over that of the diameters that are tried; chosen: they cover distortion of 2 % of the rim to
+within a third of a core."""
+GROWING_STEPS: Final = 7
+"""Shifts to either side that are tried there; derived: a lens distorted by 1 % about the sensor's centre displaces the
+discs' rims by three pixels against the cores in their middle, and those of the first part by one."""
+CENTRE: Final = polynomial_terms(np.zeros(1), np.zeros(1))
+"""Terms of the maps' polynomials in the disc's centre."""
+
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
@@ -74,13 +88,15 @@ class Alignment:
     ----------
     residual_to_confocal : numpy.ndarray
         Maps (row, col, 1) in the residual view to (row, col) in the confocal, shape (2, 3).
-    model : AlignmentModel or DistortionModel
+    model : ViewModel
         The model with the lowest Bayesian information criterion.
     evidence : dict
         Bayesian information criterion of each model above the best one's.
     uncertainty_px : float
         One standard deviation of the map along a row or column, at the disc's rim, where it is least certain; includes
         what the next models find left over.
+    centre_uncertainty_px : float
+        The same in the disc's centre.
     gain : float
         Brightness of the residual view over the confocal, per area and not per core: of a larger view, each core
         may contain more light than the gain implies.
@@ -96,7 +112,7 @@ class Alignment:
     """
 
     residual_to_confocal: Floats
-    model: AlignmentModel | DistortionModel
+    model: ViewModel
     evidence: dict[str, float]
     uncertainty_px: float
     centre_uncertainty_px: float
@@ -134,9 +150,9 @@ def align_views(
     """
     views = _Views(np.asarray(image, np.float32), confocal, residual, saturated)
     affine = _affine_fit(views.matcher, MAX_ROTATION_DEG)
-    if affine is None or affine.correlation < MIN_CLOSE:
+    if affine.correlation < MIN_CLOSE:
         rotated = _affine_fit(views.matcher, MAX_SEARCHED_ROTATION_DEG)
-        affine = rotated if rotated is not None and rotated.correlation > MIN_CLOSE else affine
+        affine = rotated if rotated.correlation > MIN_CLOSE else affine
     try:
         return _core_alignment(views, affine)
     except DifferentCoresError as refusal:
@@ -170,27 +186,30 @@ class _Views:
         """True if the pattern of the cores stands out in the spectrum of both views."""
         return all(self._resolves_cores(disc) for disc in (self.confocal, self.residual))
 
-    def require_resolved(self, correlation: float, moved: Callable[[Floats], Image]) -> None:
+    def require_resolved(self, fit: CoreFit) -> None:
         """Raise an UnresolvedCoresError if aligned views are as alike a core's distance away: they show no cores there.
 
         Parameters
         ----------
-        correlation : float
-            Between the aligned views.
-        moved : callable
-            Returns the residual view (side, side) for a displacement (row, col) from its alignment.
+        fit : CoreFit
+            That aligns them.
         """
-        if correlation > MIN_CLOSE:
+        if fit.correlation > MIN_CLOSE:
             return
-        matcher, angles = self.matcher, np.linspace(0, 2 * np.pi, BESIDE_POINTS, endpoint=False)
-        target = matcher.confocal[matcher.inside]
-        views = (moved(BESIDE_PX * np.array([np.sin(angle), np.cos(angle)])) for angle in angles)
-        beside = max(float(np.corrcoef(target, view[matcher.inside])[0, 1]) for view in views)
-        if beside > MAX_BESIDE * correlation:
+        angles = np.linspace(0, 2 * np.pi, BESIDE_POINTS, endpoint=False)
+        by = BESIDE_PX * np.stack([np.sin(angles), np.cos(angles)], axis=1)
+        beside = max(self.correlation(fit.coefficients + np.outer(shift, CENTRE)) for shift in by)
+        if beside > MAX_BESIDE * fit.correlation:
             raise UnresolvedCoresError(
-                f"a view does not resolve its cores (correlation {correlation:.2f}, {beside:.2f} beside)",
+                f"a view does not resolve its cores (correlation {fit.correlation:.2f}, {beside:.2f} beside)",
                 "is the bundle in focus in both views?",
             )
+
+    def correlation(self, coefficients: Floats) -> float:
+        """Return the correlation of the views' contrasts under a map (2, 10)."""
+        matcher = self.matcher
+        view = matcher.residual_view(matcher.contrast, coefficients)
+        return float(np.corrcoef(matcher.confocal[matcher.inside], view[matcher.inside])[0, 1])
 
     def _resolves_cores(self, view: Disc) -> bool:
         """Return True if the core pattern stands out in the spectrum of a view."""
@@ -202,9 +221,9 @@ class _Views:
             return False
         return True
 
-    def gain(self, residual_view: Callable[[Image], Image]) -> tuple[float, float]:
-        """Return the gain and its uncertainty, of an alignment that resamples the residual view."""
-        return measure_gain(self.frame, self.confocal, self.residual, residual_view, self.matcher, self.saturated)
+    def gain(self, coefficients: Floats) -> tuple[float, float]:
+        """Return the gain and its uncertainty under a map (2, 10)."""
+        return measure_gain(self.frame, self.confocal, self.residual, self.matcher, coefficients, self.saturated)
 
     def residual_to_confocal(self, motion: Floats) -> Floats:
         """Return the map from residual to confocal in the frame, of a motion from confocal to residual centre."""
@@ -213,26 +232,25 @@ class _Views:
         return np.column_stack([back, shift])
 
 
-def _core_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
-    """Return the alignment by the cores, from an affine fit to them if there is one.
+def _core_alignment(views: _Views, affine: CoreFit) -> Alignment:
+    """Return the alignment by the cores, from an affine fit to them.
 
     Raises
     ------
     MeasurementError
         A DifferentCoresError if they do not match.
     """
-    if affine is not None and affine.correlation > MIN_CLOSE:
-        evidence = distortion_evidence(affine.left_over, views.confocal.diameter_px / 2)
+    if affine.correlation > MIN_CLOSE:
+        evidence = distortion_evidence(TileShifts.left_over(views.matcher, affine), views.matcher.radius_px)
         if not evidence.needs_distortion:
-            return _simplest_alignment(views, affine, evidence.left_over_px)
+            return _undistorted_alignment(views, affine, evidence.left_over_px)
     return _distorted_alignment(views, affine)
 
 
 def _centre_alignment(views: _Views, refusal: str) -> Alignment:
     """Return the alignment by the centres; what they leave open, angle and scale, is uncertainty."""
-    confocal, residual, matcher = views.confocal, views.residual, views.matcher
-    gain, gain_uncertainty = views.gain(lambda image: cropped(image, residual.centre, matcher.side))
-    pair = cropped(matcher.contrast, residual.centre, matcher.side)[matcher.inside], matcher.confocal[matcher.inside]
+    confocal, residual, identity = views.confocal, views.residual, views.matcher.identity
+    gain, gain_uncertainty = views.gain(identity)
     at_rim = (
         np.radians(ROTATION_DEG) * confocal.diameter_px / 2,
         (confocal.diameter_px - residual.diameter_px) / 2,
@@ -242,26 +260,23 @@ def _centre_alignment(views: _Views, refusal: str) -> Alignment:
     centres = confocal.centre_uncertainty_px, residual.centre_uncertainty_px
     return Alignment(
         residual_to_confocal=shift_of_centres(confocal.centre, residual.centre),
-        model=AlignmentModel.SHIFT,
+        model=ViewModel.SHIFT,
         evidence={},
         uncertainty_px=float(np.hypot(np.linalg.norm(centres), np.linalg.norm(at_rim) / np.sqrt(2))),
         centre_uncertainty_px=float(np.linalg.norm(centres)),
         gain=gain,
         gain_uncertainty=gain_uncertainty,
-        correlation=float(np.corrcoef(*pair)[0, 1]),
+        correlation=views.correlation(identity),
         refusal=refusal,
     )
 
 
-def _affine_fit(matcher: CoreMatcher, rotation_deg: float) -> CoreFit | None:
-    """Return the affine fit within a rotation; None if it diverges, as it does on strongly distorted views."""
-    try:
-        return matcher.fit(matcher.start(rotation_deg=rotation_deg), AlignmentModel.AFFINE)
-    except DifferentCoresError:
-        return None
+def _affine_fit(matcher: CoreMatcher, rotation_deg: float) -> CoreFit:
+    """Return the affine fit within a rotation."""
+    return matcher.fit(matcher.start(rotation_deg=rotation_deg), ViewModel.AFFINE)
 
 
-def _simplest_alignment(views: _Views, affine: CoreFit, left_over_px: float) -> Alignment:
+def _undistorted_alignment(views: _Views, affine: CoreFit, left_over_px: float) -> Alignment:
     """Return the alignment by the simplest sufficient part of an affine fit; distortion left over is uncertainty.
 
     Raises
@@ -269,27 +284,14 @@ def _simplest_alignment(views: _Views, affine: CoreFit, left_over_px: float) -> 
     DifferentCoresError
         If the cores do not determine it.
     """
-    criterion = {model: _criterion(affine, model) for model in AlignmentModel}
-    model = min(AlignmentModel, key=lambda candidate: criterion[candidate])
-    fit = affine if model is AlignmentModel.AFFINE else views.matcher.fit(affine.motion, model)
-    if fit.uncertainty_px > MAX_UNCERTAINTY_PX:
+    evidence = _evidence(affine, UNDISTORTED)
+    fit = _best_fit(views.matcher, affine, evidence)
+    if fit.uncertainty_px(views.matcher.rim) > MAX_UNCERTAINTY_PX:
         raise _other_cores(fit.correlation)
-    views.require_resolved(fit.correlation, lambda by: views.matcher.sample(fit.motion, by))
-    grid_to_residual = views.matcher.grid_to_frame(views.residual.centre, fit.motion)
-    gain, gain_uncertainty = views.gain(lambda image: resampled(image, grid_to_residual, views.matcher.side))
-    return Alignment(
-        residual_to_confocal=views.residual_to_confocal(fit.motion),
-        model=model,
-        evidence={other.value: criterion[other] - criterion[model] for other in AlignmentModel},
-        uncertainty_px=float(np.linalg.norm((fit.uncertainty_px, left_over_px, SAMPLING_PX))),
-        centre_uncertainty_px=float(np.linalg.norm((fit.centre_uncertainty_px, left_over_px, SAMPLING_PX))),
-        gain=gain,
-        gain_uncertainty=gain_uncertainty,
-        correlation=fit.correlation,
-    )
+    return _alignment(views, fit, evidence, left_over_px)
 
 
-def _distorted_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
+def _distorted_alignment(views: _Views, affine: CoreFit) -> Alignment:
     """Return the alignment by the model with the lowest criterion, those with distortion among them.
 
     Raises
@@ -297,55 +299,90 @@ def _distorted_alignment(views: _Views, affine: CoreFit | None) -> Alignment:
     MeasurementError
         If the views do not show the same cores under any of them.
     """
-    distorted = DistortionMatcher(views.matcher, views.confocal.diameter_px / 2)
-    full = None
-    if affine is not None and affine.correlation > MIN_CLOSE:
-        full = distorted.fit(distorted.start(affine.motion), DistortionModel.CUBIC)
-    if full is None or full.correlation < CERTAIN:
+    matcher, full = views.matcher, affine
+    if affine.correlation > MIN_CLOSE:
+        full = matcher.fit(affine.coefficients, ViewModel.CUBIC)
+    if full.correlation < CERTAIN:
         # Where an affine map is off by half a core, a fit that starts from it slips by whole ones.
-        grown = distorted.fit(distorted.grown(), DistortionModel.CUBIC)
-        full = grown if full is None or grown.correlation > full.correlation else full
-    near = full.coefficients
-    criterion = {other: full.criterion(other) for other in DistortionModel}
-    model = min(DistortionModel, key=lambda candidate: criterion[candidate])
-    beyond_px = distorted.rms_px(full.coefficients - distorted.start(distorted.affine_part(full.coefficients)))
-    better = affine is None or full.correlation > affine.correlation
-    if affine is not None and not (better and model is not DistortionModel.AFFINE and beyond_px > MIN_DISTORTION_PX):
-        _require_same_cores(affine.correlation, distorted, near)
-        return _simplest_alignment(views, affine, distorted.left_over_px(full, distorted.start(affine.motion)))
-    fit = full if model is DistortionModel.CUBIC else distorted.fit(near, model)
-    if distorted.uncertainty_px(fit) > MAX_UNCERTAINTY_PX:
+        grown = matcher.fit(_grown(matcher), ViewModel.CUBIC)
+        full = grown if full is affine or grown.correlation > full.correlation else full
+    evidence = _evidence(full, DISTORTED)
+    beyond_px = matcher.rms_px(full.coefficients - affine_map(matcher.motion(full.coefficients), matcher.radius_px))
+    best = max(affine, full, key=lambda fit: fit.correlation)
+    if best is affine or evidence[ViewModel.AFFINE] == 0 or beyond_px < MIN_DISTORTION_PX:
+        affine = matcher.fit(best.coefficients, ViewModel.AFFINE)
+        _require_same_cores(matcher, affine, full)
+        return _undistorted_alignment(views, affine, matcher.left_over_px(full, affine.coefficients))
+    fit = _best_fit(matcher, full, evidence)
+    if fit.uncertainty_px(matcher.rim) > MAX_UNCERTAINTY_PX:
         raise _other_cores(0.0)
-    _require_same_cores(fit.correlation, distorted, near)
-    views.require_resolved(fit.correlation, lambda by: distorted.sample(fit.coefficients, by))
-    motion = distorted.affine_part(fit.coefficients)
-    gain, gain_uncertainty = views.gain(lambda image: warped(image, distorted.positions(fit.coefficients)))
-    left_over_px = distorted.left_over_px(full, fit.coefficients)
+    _require_same_cores(matcher, fit, full)
+    return _alignment(views, fit, evidence, matcher.left_over_px(full, fit.coefficients))
+
+
+def _evidence(full: CoreFit, models: Sequence[ViewModel]) -> dict[ViewModel, float]:
+    """Return the criterion of each model above the best one's, by a fit of one that contains them."""
+    criterion = {model: full.criterion(model) for model in models}
+    return {model: value - min(criterion.values()) for model, value in criterion.items()}
+
+
+def _best_fit(matcher: CoreMatcher, full: CoreFit, evidence: dict[ViewModel, float]) -> CoreFit:
+    """Return the fit of the model with the lowest criterion, given one of the fullest."""
+    model = min(evidence, key=lambda candidate: evidence[candidate])
+    return full if model is full.model else matcher.fit(full.coefficients, model)
+
+
+def _grown(matcher: CoreMatcher) -> Floats:
+    """Return a map (2, 10) fitted to discs that grow, from one found in the middle of the disc."""
+    coefficients = matcher.fit(
+        matcher.start(GROWING[0], SCALES, GROWING_STEPS), ViewModel.AFFINE, GROWING[0]
+    ).coefficients
+    for part in GROWING[1:]:
+        coefficients = matcher.fit(coefficients, ViewModel.RADIAL, part).coefficients
+    return coefficients
+
+
+def _alignment(views: _Views, fit: CoreFit, evidence: dict[ViewModel, float], left_over_px: float) -> Alignment:
+    """Return the alignment by a fit, of which distortion of some length is left over.
+
+    Raises
+    ------
+    MeasurementError
+        If a view does not resolve its cores, or the gain is out of range.
+    """
+    matcher = views.matcher
+    views.require_resolved(fit)
+    gain, gain_uncertainty = views.gain(fit.coefficients)
+    motion = matcher.motion(fit.coefficients)
+    beyond = fit.coefficients - affine_map(motion, matcher.radius_px)
+    at_rim, in_centre = (
+        float(np.linalg.norm((fit.uncertainty_px(at), left_over_px, SAMPLING_PX))) for at in (matcher.rim, CENTRE)
+    )
     return Alignment(
         residual_to_confocal=views.residual_to_confocal(motion),
-        model=model,
-        evidence={other.value: criterion[other] - criterion[model] for other in DistortionModel},
-        uncertainty_px=float(np.linalg.norm((distorted.uncertainty_px(fit), left_over_px, SAMPLING_PX))),
-        centre_uncertainty_px=float(np.linalg.norm((distorted.centre_uncertainty_px(fit), left_over_px, SAMPLING_PX))),
+        model=fit.model,
+        evidence={model.value: above for model, above in evidence.items()},
+        uncertainty_px=at_rim,
+        centre_uncertainty_px=in_centre,
         gain=gain,
         gain_uncertainty=gain_uncertainty,
         correlation=fit.correlation,
-        distortion=fit.coefficients - distorted.start(motion),
+        distortion=None if fit.model in UNDISTORTED else beyond,
     )
 
 
-def _require_same_cores(correlation: float, distorted: DistortionMatcher, near: Floats) -> None:
+def _require_same_cores(matcher: CoreMatcher, fit: CoreFit, full: CoreFit) -> None:
     """Raise an error if the aligned views do not show the same cores; it names distortion where the middle fits."""
-    if correlation > MIN_CORRELATION:
+    if fit.correlation > MIN_CORRELATION:
         return
-    middle = distorted.fit(near, DistortionModel.AFFINE, MIDDLE).correlation
+    middle = matcher.fit(full.coefficients, ViewModel.AFFINE, MIDDLE).correlation
     if middle > MIN_CLOSE:
         raise MeasurementError(
             f"the views show the same cores in the middle (correlation {middle:.2f}), not at the rim "
-            f"({correlation:.2f}): one is distorted by more than a polynomial of third degree describes",
+            f"({fit.correlation:.2f}): one is distorted by more than a polynomial of third degree describes",
             "is a lens tilted or the wrong way round, and the rim in focus in both views?",
         )
-    raise _other_cores(correlation)
+    raise _other_cores(fit.correlation)
 
 
 def _other_cores(correlation: float) -> DifferentCoresError:
@@ -353,9 +390,3 @@ def _other_cores(correlation: float) -> DifferentCoresError:
         f"the two views do not show the same cores (correlation {correlation:.2f})",
         "is the bundle in focus in both, the light bright enough, and neither view mirrored?",
     )
-
-
-def _criterion(affine: CoreFit, model: AlignmentModel) -> float:
-    """Return the Bayesian information criterion of a model by the affine fit."""
-    omitted, influence = model.constraints @ affine.departure, affine.influence @ model.constraints.T
-    return information_criterion(omitted, influence, len(model.matrices))
