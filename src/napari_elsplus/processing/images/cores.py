@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from scipy.fft import rfft2
 from scipy.ndimage import median_filter
+from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, cKDTree
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.instrument.arguments import Choice
-from napari_elsplus.processing.compiled import kernel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -222,22 +222,17 @@ class CoreInterpolation:
 
     Attributes
     ----------
-    cores : numpy.ndarray
-        (cores, 2) float64, row and column.
-    corners : numpy.ndarray
-        (n, n, 3) int32 indices of the cores around each pixel; -1 where there are none.
-    weights : numpy.ndarray
-        (n, n, 3) float32 barycentric coordinates.
-    gain : numpy.ndarray
-        (cores,) float32 local mean over reading in the flat field.
+    reading : scipy.sparse.csr_array
+        (cores, pixels) float32: bilinear weights of the pixels around each core.
+    between : scipy.sparse.csr_array
+        (pixels, cores) float32: barycentric coordinates of each pixel times the cores' gain, the local mean over the
+        reading in the flat field; none where no cores are around.
     sigma_px : float
         Sigma of the Gaussian with which cores are read, pixels.
     """
 
-    cores: NDArray[np.float64]
-    corners: NDArray[np.int32]
-    weights: NDArray[np.float32]
-    gain: NDArray[np.float32]
+    reading: csr_array
+    between: csr_array
     sigma_px: float
 
     @classmethod
@@ -258,69 +253,33 @@ class CoreInterpolation:
         """
         pitch_px = core_pitch_px(flat, inside)
         cores = find_cores(flat, inside)
+        reading, sigma_px, wide = _bilinear(cores, len(flat)), _READING_SIGMA_PITCHES * pitch_px, 2 * pitch_px
+        mean = cv2.GaussianBlur(np.where(inside, flat, 0).astype(np.float32), (0, 0), wide)
+        mean /= np.maximum(cv2.GaussianBlur(inside.astype(np.float32), (0, 0), wide), 1e-3)
+        read = reading @ cv2.GaussianBlur(flat, (0, 0), sigma_px).ravel()
+        gain = reading @ mean.ravel() / np.maximum(read, _DARKEST_CORE * float(flat[inside].mean()))
         triangles = Delaunay(cores)
-        side = len(flat)
         pixels = np.argwhere(inside).astype(float)
         simplex = triangles.find_simplex(pixels)  # which tries every triangle for a pixel that is in none
-        transform = triangles.transform[simplex]
-        two = np.einsum("ijk,ik->ij", transform[:, :2], pixels - transform[:, 2])
-        weights = np.zeros((side, side, 3), np.float32)
-        weights[inside] = np.column_stack([two, 1 - two.sum(axis=1)])
-        corners = np.full((side, side, 3), -1, np.int32)
-        corners[inside] = np.where((simplex >= 0)[:, None], triangles.simplices[simplex], -1)
-        sigma_px = _READING_SIGMA_PITCHES * pitch_px
-        lit = inside.astype(np.float32)
-        wide = 2 * pitch_px
-        mean = cv2.GaussianBlur(np.where(inside, flat, 0).astype(np.float32), (0, 0), wide)
-        mean /= np.maximum(cv2.GaussianBlur(lit, (0, 0), wide), 1e-3)
-        row, col = cores.astype(np.float32).T
-        reading = _read_at(cv2.GaussianBlur(flat, (0, 0), sigma_px), row, col)
-        gain = _read_at(mean, row, col) / np.maximum(reading, _DARKEST_CORE * float(flat[inside].mean()))
-        return cls(
-            cores,
-            corners,
-            weights,
-            gain.astype(np.float32),
-            sigma_px,
-        )
+        within = simplex >= 0
+        transform, corners = triangles.transform[simplex[within]], triangles.simplices[simplex[within]]
+        two = np.einsum("ijk,ik->ij", transform[:, :2], pixels[within] - transform[:, 2])
+        weights = np.column_stack([two, 1 - two.sum(axis=1)]) * gain[corners]
+        pixel = np.flatnonzero(inside)[within].astype(np.int32).repeat(3)
+        between = csr_array((weights.ravel(), (pixel, corners.ravel())), (inside.size, len(cores)), np.float32)
+        return cls(reading, between, sigma_px)
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Interpolate an image (n, n) float32 between the cores; zero outside of them."""
-        row, col = self.cores.astype(np.float32).T
-        values = _read_at(cv2.GaussianBlur(image, (0, 0), self.sigma_px), row, col) * self.gain
-        out = np.empty(image.shape, np.float32)
-        _interpolate(values, self.corners, self.weights, out)
-        return out
+        values = self.reading @ cv2.GaussianBlur(image, (0, 0), self.sigma_px).ravel()
+        return np.asarray((self.between @ values).reshape(image.shape), np.float32)
 
 
-@kernel
-def _read_at(image: NDArray[np.float32], row: NDArray[np.float32], col: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return bilinear values at points inside of an image; cv2.remap is limited to 32,766 of them."""
-    rows, cols = image.shape
-    values = np.empty(len(row), np.float32)
-    for k in range(len(row)):
-        r, c = min(int(row[k]), rows - 2), min(int(col[k]), cols - 2)
-        down, across = row[k] - np.float32(r), col[k] - np.float32(c)
-        above = image[r, c] + across * (image[r, c + 1] - image[r, c])
-        below = image[r + 1, c] + across * (image[r + 1, c + 1] - image[r + 1, c])
-        values[k] = above + down * (below - above)
-    return values
-
-
-@kernel
-def _interpolate(
-    values: NDArray[np.float32],
-    corners: NDArray[np.int32],
-    weights: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    rows, cols = out.shape
-    for r in range(rows):
-        for c in range(cols):
-            if corners[r, c, 0] < 0:
-                out[r, c] = 0
-            else:
-                total = np.float32(0)
-                for k in range(3):
-                    total += weights[r, c, k] * values[corners[r, c, k]]
-                out[r, c] = total
+def _bilinear(places: NDArray[np.float64], side: int) -> csr_array:
+    """Return the weights (places, pixels) float32 of the pixels around places (n, 2) inside of a square image."""
+    corner = np.minimum(places.astype(np.int32), side - 2)
+    (down, across), (row, col) = (places - corner).T, corner.T
+    pixels = (row * side + col)[:, None] + np.array([0, 1, side, side + 1], np.int32)
+    weights = np.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across], axis=1)
+    of_place = np.arange(len(places), dtype=np.int32).repeat(4)
+    return csr_array((weights.ravel(), (of_place, pixels.ravel())), (len(places), side * side), np.float32)
