@@ -44,7 +44,8 @@ def stream(viewer):
     """Live layers, and a function that displays a frame of noise and so many grey levels of light."""
     layout = display_layout((64, 128), 32)
     ring, layers = Ring(bytearray(layout.nbytes), layout), LiveLayers(viewer)
-    layers.arrange(["ls", "raw"], ring, None, side_by_side=True)
+    while not layers.arrange(["ls", "raw"], ring, None, side_by_side=True):
+        pass
     noise = np.random.default_rng(1).normal(0, 0.5, (32, 32))
 
     def show(light, *, whole=True):

@@ -13,7 +13,9 @@ from pathlib import Path
 from threading import Event
 
 import numpy as np
+import pint
 import pytest
+from pint.registry import LazyRegistry
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
@@ -60,7 +62,7 @@ def start(panel, qtbot):
     panel.form.start.native.click()
     qtbot.waitUntil(
         lambda: (
-            panel.live and len(panel.layers.images) >= 2 and panel.form.snapping.enabled and panel.form.record.enabled
+            panel.live and panel._arranged is not None and panel.form.snapping.enabled and panel.form.record.enabled
         ),
         timeout=30_000,
     )
@@ -515,7 +517,8 @@ def test_a_hidden_layer_of_another_preset_is_not_filled(make_napari_viewer_proxy
     for rows, kinds in ((64, ["raw", "els"]), (128, ["els"]), (128, ["raw"])):
         layout = display_layout((rows, 128), 32)
         ring = Ring(bytearray(layout.nbytes), layout)
-        layers.arrange(kinds, ring, None, side_by_side=True)
+        while not layers.arrange(kinds, ring, None, side_by_side=True):
+            pass
         slot = ring.acquire()
         slot.arrays["raw"][...] = rows
         ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
@@ -641,3 +644,33 @@ def test_a_panel_imports_what_the_first_layers_need_before_they_are_created(make
     (thread,) = begun
     thread.join(30)
     assert "pandas" in sys.modules
+
+
+def test_an_idle_panel_reads_the_units_that_the_first_layer_needs(make_napari_viewer_proxy, qtbot):
+    """Before: with the first live image, for a third of the time that the window stood still."""
+    units = pint.get_application_registry()
+    of_other_tests = units.get()
+    units.set(LazyRegistry())
+    try:
+        make_napari_viewer_proxy().window.add_plugin_dock_widget(PLUGIN, "Live")
+        qtbot.waitUntil(lambda: not isinstance(units.get(), LazyRegistry))
+    finally:
+        units.set(of_other_tests)
+
+
+def test_images_are_created_one_in_each_tick_so_that_the_window_answers_between_them(viewer, panel, qtbot, monkeypatch):
+    """Before: the window stood still until all images and their titles were there."""
+    created, arrange = [], panel.layers.arrange
+
+    def counted(*what, **how):
+        before = len(viewer.layers)
+        complete = arrange(*what, **how)
+        created.append(len(viewer.layers) - before)
+        return complete
+
+    monkeypatch.setattr(panel.layers, "arrange", counted)
+    for box in panel.form.kinds.values():
+        box.value = True
+    start(panel, qtbot)
+    qtbot.waitUntil(lambda: len(viewer.layers) == len(panel.form.kinds) + 1)
+    assert max(created) == 1

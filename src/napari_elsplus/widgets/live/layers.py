@@ -8,6 +8,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pint
 from napari.layers import Image, Layer, Points
 
 from napari_elsplus._view import fit_visible_layers
@@ -51,6 +52,14 @@ def import_ahead() -> Thread:
     return thread
 
 
+def read_units() -> None:
+    """Read pint's table of units, which napari needs for the first layer and reads for a third of a second.
+
+    Not in a thread: while a registry of units is read, it is wrong for whoever else uses it.
+    """
+    pint.Unit("pixel")
+
+
 class LiveLayers:
     """One layer per kind of live image, in the user's viewer.
 
@@ -67,7 +76,7 @@ class LiveLayers:
         self._last_sequence = -1
         self._unscaled: set[str] = set()
         self._dark: dict[str, tuple[float, float]] = {}
-        self._begins = True
+        self._begins, self._fits = True, False
 
     @property
     def images(self) -> dict[str, Image]:
@@ -108,10 +117,12 @@ class LiveLayers:
         side_by_side: bool,
         calibration_file: Path | None = None,
         rig: str | None = None,
-    ) -> None:
+    ) -> bool:
         """Display the given kinds and hide the others; layers of the same kind and size are reused.
 
-        When a stream begins, the viewer's other layers are hidden except mosaics, which move aside.
+        A call creates one image at most, since napari takes a tenth of a second for each, and longer on a busy
+        computer: the first is displayed, and the window answers, before the next is created. When a stream begins, the
+        viewer's other layers are hidden except mosaics, which move aside.
 
         Parameters
         ----------
@@ -127,6 +138,11 @@ class LiveLayers:
             Its file, for the metadata.
         rig : str, optional
             Name of the rig, for the metadata.
+
+        Returns
+        -------
+        bool
+            True if all are displayed with their titles, False if this is to be called again.
         """
         shapes = {name: (shape, dtype) for name, shape, dtype in ring.layout.fields}
         self._layers = self.images
@@ -134,7 +150,8 @@ class LiveLayers:
         others = [layer for layer in self._viewer.layers if layer not in known]
         axes, adopted = plane_axes(None if calibration is None else calibration.um_per_px, others)
         corners: dict[str, tuple[float, float]] = {}
-        left_px = 0
+        left_px, complete = 0, True
+        self._fits |= self._begins and not known
         for kind in KINDS:
             layer = self.images.get(kind)
             if kind not in kinds or kind not in shapes:
@@ -151,24 +168,29 @@ class LiveLayers:
                 "calibration_path": calibration_file, "file": {}, "software": SOFTWARE,
                 "rig": rig, "displayed_since": utc_now(), **adopted,
             }  # fmt: skip
-            if layer is None:
-                layer = self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}})
-            layer.visible = True
-            for name, value in place.items():
-                setattr(layer, name, value)
-            layer.metadata[PROVENANCE] = facts
+            if layer is None and complete:
+                layer, complete = self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}}), False
+            if layer is not None:
+                layer.visible = True
+                for name, value in place.items():
+                    setattr(layer, name, value)
+                layer.metadata[PROVENANCE] = facts
             corners[KINDS[kind]] = -TITLE_RISE * shape[0], left_px
             left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
-        self._arrange_titles(corners if side_by_side else {}, axes)
+        if complete or self._titles in self._viewer.layers:
+            self._arrange_titles(corners if side_by_side else {}, axes)
         if self._begins and self.images:
-            self._begins = False
             covering = [layer for layer in others if layer.visible and MOSAIC not in provenance_of(layer.metadata)]
             for layer in covering:
                 layer.visible = False
-            if covering or not known:
+            self._fits |= bool(covering)
+            if self._fits:
                 fit_visible_layers(self._viewer)
             self._viewer.canvas.overlays.scale_bar.visible = True
+            if complete:
+                self._begins = self._fits = False
+        return complete
 
     def update(self, ring: Ring, *, whole: bool) -> Stamp | None:
         """Copy the newest frame into the layers and redraw the visible ones; None if there is no new frame.

@@ -14,7 +14,7 @@ from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
-from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
+from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead, read_units
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
@@ -52,6 +52,7 @@ class LivePanel(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         import_ahead()
+        timer(self, 0, read_units, once=True).start()
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
         self._faults_shown: set[str] = set()
@@ -201,8 +202,8 @@ class LivePanel(EnginePanel):
         arranged = (ring.layout, ring.name, tuple(kinds), apart)
         if arranged != self._arranged or calibration is not self._arranged_by:
             file, rig = self.connection.calibration_file, self.connection.rig
-            self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file, rig=rig)
-            self._arranged, self._arranged_by = arranged, calibration
+            complete = self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file, rig=rig)
+            self._arranged, self._arranged_by = arranged if complete else None, calibration
         whole = now_s - self._whole_at_s > WHOLE_S
         with nullcontext() if whole else self.layer_list.signals_blocked():
             shown = self.layers.update(ring, whole=whole)
