@@ -13,6 +13,7 @@ from napari_elsplus._writer import write_image
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_images
 from napari_elsplus.viewing.common_axes import ADOPTED
+from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.workflows.sectioning import section
 from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 from videos import write_avi
@@ -48,6 +49,22 @@ def test_the_calibration_and_the_mode_go_along(make_napari_viewer_proxy, tmp_pat
     with open_recording(tmp_path / "ls.zarr") as back:
         assert back.calibration.offset.rows == -4.0
         assert "calibration" not in back.metadata["settings"]
+
+
+def test_frames_that_cannot_be_read_are_displayed_as_empty_and_not_saved(make_napari_viewer_proxy, tmp_path):
+    """Before: a traceback, and a layer that napari could not remove."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k in range(3):
+        tifffile.imwrite(folder / f"{k}.tif", np.ones((40 + k // 2, 60), np.uint8))
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(folder), plugin=PLUGIN)
+    with pytest.warns(UnreadablePlane, match=r"2\.tif has shape"):
+        viewer.dims.set_current_step(0, 2)
+    with pytest.raises(InputError, match=r"2\.tif has shape"):
+        viewer.layers[0].save(str(tmp_path / "saved.tif"), plugin=PLUGIN)
+    assert not (tmp_path / "saved.tif").exists()
+    viewer.layers.clear()
 
 
 @pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])

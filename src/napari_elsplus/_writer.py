@@ -13,6 +13,7 @@ from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_im
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
+from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.viewing.provenance import provenance_of
 
 if TYPE_CHECKING:
@@ -42,8 +43,14 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Raises
     ------
     InputError
-        If the layer is in colour or has more dimensions, or no format writes the suffix.
+        If the layer is in colour or has more dimensions, a plane cannot be read, or no format writes the suffix.
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
+        return _write(path, data, attributes)
+
+
+def _write(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     image = _grey(data, attributes)
     provenance = provenance_of(attributes.get("metadata"))
     calibration: Calibration | None = provenance.get("calibration")

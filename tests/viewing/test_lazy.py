@@ -7,8 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.viewing import lazy
-from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
+from napari_elsplus.viewing.lazy import LazyPlanes, UnreadablePlane, image_planes
 from napari_elsplus.workflows.sectioning import section
 from pairs import calibration, frames
 
@@ -52,6 +53,25 @@ def test_the_cache_has_a_bound(monkeypatch):
     planes[5]
     planes[0]
     assert asked == [0, 1, 2, 3, 4, 5, 0]
+
+
+@pytest.mark.parametrize(("dtype", "empty"), [("u1", 0), ("f4", np.nan)])
+def test_a_plane_that_cannot_be_read_is_displayed_as_empty_with_a_warning(dtype, empty):
+    """Before: an error, and napari had a layer that it could neither draw nor remove."""
+
+    def read(k):
+        if k == 1:
+            raise InputError("frame 1 cannot be decoded", "record it again")
+        return np.full((4, 5), k, dtype)
+
+    planes = LazyPlanes(read, (3, 4, 5), np.dtype(dtype))
+    shown = planes.dask()
+    with pytest.warns(UnreadablePlane, match="frame 1 cannot be decoded: record it again"):
+        found = np.asarray(shown[1:3, :2])
+    np.testing.assert_array_equal(found, np.stack([np.full((2, 5), level) for level in (empty, 2)]))
+    assert found.dtype == dtype
+    with pytest.raises(InputError, match="decoded"):
+        planes[1]
 
 
 @pytest.mark.parametrize("mode", ["ls", "residual", "els", "elsa"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import lru_cache
 from threading import local
 from typing import TYPE_CHECKING, Any, Final
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import dask.array as da
 import numpy as np
 
+from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.workflows.sectioning import SectionedImages
 
@@ -67,15 +69,41 @@ class LazyPlanes:
         return plane
 
     def dask(self) -> da.Array:
-        """Return the same planes as a dask array, one chunk each."""
+        """Return the same planes for display, as a dask array of one chunk each.
+
+        A plane that cannot be read is empty, NaN or 0 of integers, with an :class:`UnreadablePlane` as a warning: an
+        error would leave napari with a layer that it can neither draw nor remove.
+        """
         return da.from_array(  # type: ignore[no-untyped-call, no-any-return, unused-ignore]
-            self,
+            _Displayed(self),
             chunks=(1, *self.shape[1:]),
             name=False,
             asarray=False,
             inline_array=True,
             meta=np.empty((0, 0, 0), self.dtype),
         )
+
+
+class UnreadablePlane(InputError, UserWarning):
+    """A plane that cannot be read, as a warning where it is displayed; as an error where it is saved."""
+
+
+class _Displayed:
+    """Planes for display, those that cannot be read empty."""
+
+    ndim: Final = 3
+
+    def __init__(self, planes: LazyPlanes) -> None:
+        self._planes, self.shape, self.dtype = planes, planes.shape, planes.dtype
+        self._empty = np.full((), np.nan if planes.dtype.kind == "f" else 0, planes.dtype)
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        try:
+            return self._planes[key]
+        except ElsPlusError as error:
+            warnings.warn(UnreadablePlane(error.problem, error.remedy), stacklevel=2)
+            empty: NDArray[Any] = np.broadcast_to(self._empty, self.shape)[key]
+            return empty
 
 
 def raw_planes(recording: Recording) -> LazyPlanes:
