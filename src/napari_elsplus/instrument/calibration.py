@@ -243,10 +243,10 @@ class Calibration(Section):
     >>> calibration = Calibration.parse({"offset": {"rows": -12.03, "uncertainty_rows": 0.01}})
     >>> calibration.offset.rows
     -12.03
-    >>> calibration.require("bundle")
+    >>> calibration.require("bundle")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    napari_elsplus.errors.CalibrationError: the calibration has no bundle section: measure it with `calibrate --bundle`
+    napari_elsplus.errors.CalibrationError: the calibration has no bundle section: measure it with...
     """
 
     format: Literal["napari-elsplus/calibration"] = "napari-elsplus/calibration"
@@ -344,7 +344,8 @@ class Calibration(Section):
         for name in sections:
             if getattr(self, name) is None:
                 how = CALIBRATE_COMMANDS.get(name, "calibrate")
-                raise CalibrationError(f"the calibration has no {name} section", f"measure it with `{how}`")
+                remedy = f"measure it with `{how}`, or in the Calibration panel"
+                raise CalibrationError(f"the calibration has no {name} section", remedy)
 
     @property
     def measured_offset(self) -> OffsetSection:

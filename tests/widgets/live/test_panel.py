@@ -674,3 +674,31 @@ def test_images_are_created_one_in_each_tick_so_that_the_window_answers_between_
     start(panel, qtbot)
     qtbot.waitUntil(lambda: len(viewer.layers) == len(panel.form.kinds) + 1)
     assert max(created) == 1
+
+
+def test_images_that_are_ticked_come_into_view_and_the_raw_frame_lies_below_them(viewer, panel, qtbot):
+    """Before: they were displayed beside the canvas, and the wide raw frame moved the others out of it."""
+    start(panel, qtbot)
+    viewer.scene.camera.zoom = 20
+    for kind in ("elsa", "raw"):
+        panel.form.kinds[kind].value = True
+        qtbot.waitUntil(lambda kind=kind: kind in panel.layers.images and panel._arranged is not None, timeout=30_000)
+        assert all(seen(viewer, layer) for layer in panel.layers.images.values())
+    raw, els = (panel.layers.images[kind].extent.world for kind in ("raw", "els"))
+    assert raw[0, 0] > els[1, 0]
+    viewer.scene.camera.zoom = zoom = 20
+    panel.form.kinds["raw"].value = False
+    qtbot.waitUntil(lambda: not panel.layers.images["raw"].visible)
+    assert viewer.scene.camera.zoom == zoom
+    viewer.layers.clear()
+    qtbot.waitUntil(lambda: not panel.form.chosen)
+    for kind in ("ls", "els"):
+        panel.form.kinds[kind].value = True
+    qtbot.waitUntil(lambda: len(panel.layers.images) == 2 and panel._arranged is not None, timeout=30_000)
+    assert all(seen(viewer, layer) for layer in panel.layers.images.values())
+
+
+def seen(viewer, layer):
+    """True if a layer lies in the canvas."""
+    camera, half = viewer.scene.camera, np.array(viewer.canvas.size) / 2
+    return bool((np.abs(layer.extent.world - camera.center[-2:]) * camera.zoom <= half).all())

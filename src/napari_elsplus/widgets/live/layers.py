@@ -24,7 +24,7 @@ from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 from napari_elsplus.widgets.shared.choosing import LIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import napari.viewer
@@ -33,8 +33,10 @@ if TYPE_CHECKING:
     from napari_elsplus.acquisition.streaming.ring import Ring, Stamp
     from napari_elsplus.instrument.calibration import Calibration
 
-KINDS: Final = {RAW: "raw", **{mode.value: mode.label for mode in Mode}}
+KINDS: Final[dict[str, str]] = {RAW: "raw", **{mode.value: mode.label for mode in Mode}}
 """Titles of the images, by field of the display ring."""
+RAW_GAP: Final = 0.2
+"""Rows between the images and the raw frame below them, fraction of an image's rows; chosen: its title fits in."""
 MIN_LIT: Final = 10.0
 """Grey level of white below which an image is dark: the galvo is parked, or the laser off. Chosen: noise without light
 is a few grey levels, and a dimmer image loses nothing, since its contrast follows it."""
@@ -77,6 +79,7 @@ class LiveLayers:
         self._unscaled: set[str] = set()
         self._dark: dict[str, tuple[float, float]] = {}
         self._begins, self._fits = True, False
+        self._arrangement: tuple[frozenset[str], bool] = frozenset(), True
 
     @property
     def images(self) -> dict[str, Image]:
@@ -122,7 +125,8 @@ class LiveLayers:
 
         A call creates one image at most, since napari takes a tenth of a second for each, and longer on a busy
         computer: the first is displayed, and the window answers, before the next is created. When a stream begins, the
-        viewer's other layers are hidden except mosaics, which move aside.
+        viewer's other layers are hidden except mosaics, which move aside. The view is fitted to the layers where they
+        are new in the viewer, or where the user chose further ones or another arrangement.
 
         Parameters
         ----------
@@ -133,7 +137,7 @@ class LiveLayers:
         calibration : Calibration or None
             Gives the scale; kept in the metadata.
         side_by_side : bool
-            Side by side; otherwise in one place.
+            Images side by side, and the raw frame below them; otherwise all in one place.
         calibration_file : pathlib.Path, optional
             Its file, for the metadata.
         rig : str, optional
@@ -149,47 +153,47 @@ class LiveLayers:
         known = self._ours
         others = [layer for layer in self._viewer.layers if layer not in known]
         axes, adopted = plane_axes(None if calibration is None else calibration.um_per_px, others)
-        corners: dict[str, tuple[float, float]] = {}
-        left_px, complete = 0, True
-        self._fits |= self._begins and not known
-        for kind in KINDS:
+        complete = True
+        (before, was_apart), self._arrangement = self._arrangement, (frozenset(kinds), side_by_side)
+        self._fits |= (self._begins and not known) or not before.issuperset(kinds) or side_by_side != was_apart
+        shown = {kind: shapes[kind] for kind in KINDS if kind in kinds and kind in shapes}
+        corners = _corners_px({kind: shape for kind, (shape, _) in shown.items()}, side_by_side=side_by_side)
+        for kind, image in self.images.items():
+            image.visible = kind in shown
+        for kind, (shape, dtype) in shown.items():
             layer = self.images.get(kind)
-            if kind not in kinds or kind not in shapes:
-                if layer is not None:
-                    layer.visible = False
-                continue
-            shape, dtype = shapes[kind]
             if layer is not None and layer.data.shape != shape:
                 self._viewer.layers.remove(layer)
                 layer = None
-            place: dict[str, Any] = {**axes, "translate": (0.0, left_px * axes["scale"][1])}
+            translate = tuple(step * px for step, px in zip(axes["scale"], corners[kind], strict=True))
+            place: dict[str, Any] = {**axes, "translate": translate}
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
                 "calibration_path": calibration_file, "file": {}, "software": SOFTWARE,
                 "rig": rig, "displayed_since": utc_now(), **adopted,
             }  # fmt: skip
             if layer is None and complete:
-                layer, complete = self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}}), False
-            if layer is not None:
-                layer.visible = True
+                self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}})
+                complete = False
+            elif layer is not None:
                 for name, value in place.items():
                     setattr(layer, name, value)
                 layer.metadata[PROVENANCE] = facts
-            corners[KINDS[kind]] = -TITLE_RISE * shape[0], left_px
-            left_px += shape[1] + GAP_PX if side_by_side else 0
         self._last_sequence = -1
         if complete or self._titles in self._viewer.layers:
-            self._arrange_titles(corners if side_by_side else {}, axes)
+            rise = {kind: TITLE_RISE * shape[0] for kind, (shape, _) in shown.items()}
+            titles = {KINDS[kind]: (row - rise[kind], float(col)) for kind, (row, col) in corners.items()}
+            self._arrange_titles(titles if side_by_side else {}, axes)
         if self._begins and self.images:
             covering = [layer for layer in others if layer.visible and MOSAIC not in provenance_of(layer.metadata)]
             for layer in covering:
                 layer.visible = False
             self._fits |= bool(covering)
-            if self._fits:
-                fit_visible_layers(self._viewer)
             self._viewer.canvas.overlays.scale_bar.visible = True
-            if complete:
-                self._begins = self._fits = False
+        if self._fits:
+            fit_visible_layers(self._viewer)
+        if complete and self.images:
+            self._begins = self._fits = False
         return complete
 
     def update(self, ring: Ring, *, whole: bool) -> Stamp | None:
@@ -261,7 +265,7 @@ class LiveLayers:
             self._viewer.layers.append(self._titles)
             self._viewer.layers.selection.active = active
 
-    def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> Image:
+    def _add(self, kind: str, shape: tuple[int, ...], dtype: str, place: dict[str, Any]) -> None:
         buffer: NDArray[Any] = np.zeros(shape, dtype)
         options = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 1), "cache": False}
         options["interpolation2d"] = "nearest" if kind == RAW else SMOOTH
@@ -269,4 +273,24 @@ class LiveLayers:
         self._layers[kind] = layer
         self._unscaled.add(kind)
         self._viewer.layers.append(layer)
-        return layer
+
+
+def _corners_px(shapes: Mapping[str, tuple[int, ...]], *, side_by_side: bool) -> dict[str, tuple[int, int]]:
+    """Return row and column of the corner of images: side by side, the raw frame below them, or all in one place.
+
+    Parameters
+    ----------
+    shapes : mapping of str to tuple of int
+        (rows, cols) by kind, in their order.
+    side_by_side : bool
+        Otherwise in one place.
+    """
+    if not side_by_side:
+        return dict.fromkeys(shapes, (0, 0))
+    corners, left_px = {}, 0
+    for kind, (_, cols) in shapes.items():
+        if kind != RAW:
+            corners[kind] = 0, left_px
+            left_px += cols + GAP_PX
+    rows = max((shapes[kind][0] for kind in corners), default=0)
+    return {RAW: (round((1 + RAW_GAP) * rows), 0), **corners} if RAW in shapes else corners
