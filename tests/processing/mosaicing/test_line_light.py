@@ -18,18 +18,29 @@ SCAN = np.linspace(0.6, 1.4, SIDE)[:, None]
 
 
 def scanned(
-    light: np.ndarray, seed: int = 0, haze: float = 0.0, flicker: float = 0.02, across: float = 1.0, down: float = 1.0
+    light: np.ndarray,
+    seed: int = 0,
+    haze: float = 0.0,
+    flicker: float = 0.02,
+    across: float = 1.0,
+    down: float = 1.0,
+    turns: float = 1.0,
+    fall: float = 0.0,
 ) -> LineLight | None:
-    """Estimate the light from 60 frames on a loop, with shares of its motion along and across the line."""
+    """Estimate the light from 60 frames on a loop, with shares of its motion along and across the line.
+
+    A number of turns below 1 leaves the loop open; the light falls by a share in the course of the frames.
+    """
     random = np.random.default_rng(seed)
     grain = random.normal(size=(420, 420)).astype(np.float32)
     scene = np.exp(1.2 * cv2.GaussianBlur(grain, (0, 0), 2.5) / 0.11)
-    angle = np.linspace(0, 2 * np.pi, 60)
+    angle = np.linspace(0, 2 * np.pi * turns, 60)
+    power = (1 - fall) ** np.linspace(0, 1, 60)
     places = np.rint(np.stack([down * 70 * np.sin(angle), across * 70 * np.cos(angle)], axis=1)).astype(int)
     static = haze * np.linspace(0, 1, SIDE)
     images, poses = [], []
-    for down_px, across_px in places:
-        seen = scene[150 + down_px :, 150 + across_px :][:SIDE, :SIDE] * light * random.normal(1, flicker)
+    for (down_px, across_px), bright in zip(places, power, strict=True):
+        seen = scene[150 + down_px :, 150 + across_px :][:SIDE, :SIDE] * light * bright * random.normal(1, flicker)
         images.append((seen + static + random.normal(0, 0.05, seen.shape)).astype(np.float32))
         poses.append(Pose(0, float(down_px), float(across_px), Velocity(0.0, 0.0), 1.0, 0.01, TrackingState.TRACKED))
     return estimate_line_light(lambda index: images[index], poses, GRID)
@@ -84,3 +95,22 @@ def test_motion_across_the_line_alone_gives_no_evidence_of_the_light_along_it(ac
 
 def test_a_probe_that_hardly_moves_gives_no_evidence() -> None:
     assert scanned(LIGHT, across=0.05, down=0.05) is None
+
+
+@pytest.mark.parametrize("fall", [0.3, 0.8])
+@pytest.mark.parametrize("seed", range(3))
+def test_light_that_fades_on_the_way_is_not_uneven(seed: int, fall: float) -> None:
+    """The light was stated to be 42 to 192 % of its mean where it was 85 to 115 %, and the mosaic divided by it."""
+    found = scanned(np.ones(SIDE), seed, turns=0.5, fall=fall)
+    assert found is not None
+    assert not found.uneven
+    assert misfit(found, np.ones(SIDE)) < 0.02
+
+
+@pytest.mark.parametrize("fall", [0.0, 0.3, 0.8])
+def test_uneven_light_is_found_on_an_open_path_whether_or_not_it_fades(fall: float) -> None:
+    ramp = LIGHT * np.linspace(0.8, 1.2, SIDE)
+    found = scanned(ramp, turns=0.5, fall=fall)
+    assert found is not None
+    assert found.uneven
+    assert misfit(found, ramp) < 0.02

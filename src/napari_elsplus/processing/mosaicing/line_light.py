@@ -4,15 +4,16 @@ Uneven light moves with the probe: in a mosaic it leaves ramps and edges. The ov
 tissue under the light of different columns and rows, so that the ratios of its contrast, the standard deviation of its
 grey levels by columns and by rows, contain the light alone; mean grey levels would contain haze that does not move with
 the tissue. Logarithms of the ratios are linear in the light's logarithm, a cosine series along the line plus one over
-the scan, and in the brightness of each frame, which scatters about a mean: without that a ramp of the light would be
-one of the tissue.
+the scan, and in the brightness of each frame, which scatters about a trend: without that a ramp of the light would be
+one of the tissue. Where the probe moves one way while the laser loses power, a ramp and a trend give the same ratios;
+the contrast of whole frames tells them apart, as well as fields of tissue are alike.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -55,6 +56,8 @@ LIGHT_PRIOR: Final = 0.3
 """Standard deviation of each cosine's amplitude, relative; chosen."""
 BRIGHTNESS_PRIOR: Final = 0.03
 """Standard deviation of the frames' brightness, relative; chosen, that of an unsteady laser."""
+TISSUE_CONTRAST: Final = 0.2
+"""Relative standard deviation of the contrast of fields of tissue that do not overlap, at least; chosen."""
 MIN_DEPARTURE: Final = 0.02
 """Root mean square of the light's departure from its mean that is taken out; chosen: less is not visible."""
 MIN_SIGMAS: Final = 6.0
@@ -158,19 +161,51 @@ def _compare(
         for axis, (pair, block, _, _) in enumerate(parts)
     ]
     pair, _, pixels, values = (np.concatenate(each) for each in zip(*parts, strict=True))
+    trend = _trend(frames, np.log(images[:, lit].std(axis=1) + 1e-6), places, grid.diameter)
     light_terms = TERMS + SCAN_TERMS
-    design = np.zeros((len(pair), light_terms + len(frames)))
+    design = np.zeros((len(pair), light_terms + len(frames) + 1))
+    design[:, -1] = frames[members[pair, 0]] - frames[members[pair, 1]]
+    values = values - design[:, -1] * trend.expected
     design[:, :light_terms] = np.concatenate(designs)
     design[np.arange(len(pair)), light_terms + members[pair, 0]] = 1
     design[np.arange(len(pair)), light_terms + members[pair, 1]] = -1
     apart = (np.abs(moves) / grid.diameter > DISTANCES[0]).any(axis=0)
     for part, known in zip(_PARTS, apart[::-1], strict=True):
         design[:, part] *= known
-    light = _fit(design, values, pixels, pair, waves, lit)
+    light = _fit(design, values, pixels, pair, waves, lit, trend)
     if light is not None and light.uneven and len(light.even_parts) == 1:
         design[:, light.even_parts[0]] = 0
-        return _fit(design, values, pixels, pair, waves, lit)
+        return _fit(design, values, pixels, pair, waves, lit, trend)
     return light
+
+
+class _Trend(NamedTuple):
+    """Logarithm of the brightness per frame: its expected value, and one standard deviation."""
+
+    expected: float
+    sigma: float
+
+
+def _trend(frames: NDArray[np.intp], contrast: Floats, places: Floats, diameter: float) -> _Trend:
+    """Return the trend of the contrast of whole frames, of which those that overlap show the same tissue.
+
+    Parameters
+    ----------
+    frames : numpy.ndarray
+        Indices of the frames, ascending.
+    contrast : numpy.ndarray
+        Logarithm of the standard deviation of the grey levels of each.
+    places : numpy.ndarray
+        (frames, 2) where they lie.
+    diameter : float
+        Of a frame.
+    """
+    from_middle = frames - frames.mean()
+    slope = float(from_middle @ contrast / (from_middle @ from_middle))
+    scatter = max(float(np.std(contrast - slope * from_middle)), TISSUE_CONTRAST)
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    fields = np.sum(1 / (apart < diameter).sum(axis=1))
+    return _Trend(slope, float(scatter / from_middle.std() / np.sqrt(fields)))
 
 
 def _cosines(at: Floats, centre: float, extent: float, terms: int) -> Floats:
@@ -262,6 +297,7 @@ def _fit(
     pair: NDArray[np.intp],
     waves: list[Floats],
     lit: NDArray[np.bool_],
+    trend: _Trend,
 ) -> LineLight | None:
     """Solve for the light and the frames' brightness by weighted least squares with their priors.
 
@@ -275,10 +311,13 @@ def _fit(
         Cosines along the line and over the scan, (side, terms) each.
     lit : numpy.ndarray
         (side, side) bool: the field.
+    trend : _Trend
+        Of the frames' brightness, whose expected value was subtracted.
     """
     light_terms = TERMS + SCAN_TERMS
     precision = np.full(design.shape[1], BRIGHTNESS_PRIOR**-2)
     precision[:light_terms] = LIGHT_PRIOR**-2
+    precision[-1] = trend.sigma**-2
     used = np.abs(values) < MAX_LOG_RATIO
     noise = MAX_LOG_RATIO
     for _ in range(3):
