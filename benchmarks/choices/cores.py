@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from benchmarks.harness.agreement import unexplained
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.processing.images.cores import GAUSSIAN_SIGMA_PITCHES, CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
-from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import Scene, scene
 from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.workflows.sectioning import finishing

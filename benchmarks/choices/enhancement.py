@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.harness.agreement import unexplained
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, StopAndGo, measured, simulated_rig
 from napari_elsplus.instrument.optics import CORE_PITCH_UM
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.sectioning import Sectioner
-from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.model.bundle import Bundle
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.pictures import Bars

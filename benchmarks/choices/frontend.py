@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from benchmarks.choices.sectioning import Crop
+from benchmarks.harness.agreement import unexplained
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role
 from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.images.sectioning import Sectioner
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.template_tracking import SIDE_PX, takes_median
-from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Still
 from napari_elsplus.workflows.sectioning import finishing

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.harness.agreement import unexplained
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role, TimedElsewhere
 from benchmarks.harness.peers import peer
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
-from napari_elsplus.simulation.accuracy import unexplained
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
 

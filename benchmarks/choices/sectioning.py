@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.harness.agreement import unexplained
 from benchmarks.harness.methods import Benchmark, Case, Judgement, Method, Role
 from benchmarks.rigs.simulated import SimulatedRig, simulated_rig
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
-from napari_elsplus.simulation.accuracy import SMOOTHING_PX, unexplained
+from napari_elsplus.simulation.accuracy import SMOOTHING_PX
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight
 

@@ -17,7 +17,8 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.instrument.calibration import AcquiredWith, FrameSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState
-from napari_elsplus.processing.calibration.steps import calibration_steps, find_step, steps_table
+from napari_elsplus.processing.calibration.steps import calibration_steps, find_step
+from steps_table import steps_table
 
 pytestmark = pytest.mark.checkout
 

@@ -32,6 +32,12 @@ SUPER_SPEED = 5
 REQUEST = struct.Struct(">6Ii12x8s")
 """Command, sequence number, device, direction, endpoint, flags or number of the request to unlink, length, setup."""
 REPLY = struct.Struct(">5Iii20x")
+CAPABILITIES = (
+    bytes([5, 0x0F, 22, 0, 2])
+    + bytes([7, 0x10, 2, 2, 0, 0, 0])
+    + (bytes([10, 0x10, 3, 0, 0x0E, 0, 1, 0x0A, 0xFF, 0x07]))
+)
+"""Binary device object store: power management of links, and the speeds (USB 3.0, 9.6.2)."""
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 RESPONSE_MS = 2000
 """Response time that the camera states, for a machine whose processor is emulated; aravis waits as long for frames."""
@@ -129,7 +135,7 @@ class Attached:
         if kind == 3 and index <= 3:
             return descriptors.string(index, self._camera.serial)
         if kind == 15 and self._is_super:
-            return descriptors.CAPABILITIES
+            return CAPABILITIES
         raise USBError("no such descriptor", None, errno.EPIPE)
 
     def _serve_reads(self, endpoint: int) -> None:

@@ -14,7 +14,8 @@ from napari_elsplus.instrument.calibration import Calibration, FrameSection
 from napari_elsplus.processing.calibration.draft import Draft, Setup
 from napari_elsplus.processing.calibration.measurements import Background
 from napari_elsplus.processing.calibration.step import REGISTERED, StepState
-from napari_elsplus.processing.calibration.steps import calibration_steps, find_step, register_step, steps_table
+from napari_elsplus.processing.calibration.steps import calibration_steps, find_step, register_step
+from steps_table import steps_table
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import click
@@ -34,7 +35,7 @@ def command(names: tuple[str, ...], report: Path | None, force: bool) -> None:
         rows.append(row)
         click.echo(click.style(line(row), fg=None if row.held else "red"))
     if report is not None:
-        write_json(report, [row.content() for row in rows], indent=1, force=force)
+        write_json(report, [asdict(row) for row in rows], indent=1, force=force)
     broken = [row for row in rows if not row.held]
     click.echo(f"{len(rows) - len(broken)} of {len(rows)} promises were held")
     if broken:

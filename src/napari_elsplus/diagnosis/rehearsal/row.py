@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +38,6 @@ class Row:
     frames_lost: int
     frames_lost_silently: int
     message: str
-
-    def content(self) -> dict[str, Any]:
-        """Return the row ready for JSON."""
-        return asdict(self)
 
 
 COLUMNS = "{:<33}{:<5}{:>9}{:>9}{:>6}{:>10}  {}"

@@ -74,16 +74,6 @@ def find_step(key: str) -> CalibrationStep[Any]:
     return REGISTERED[key]
 
 
-def steps_table() -> str:
-    """Return the steps as a Markdown table, for the documentation."""
-    rows = ["| step | at the microscope | frames | measures | recorded frames |", "|---|---|---|---|---|"]
-    for number, step in enumerate(calibration_steps(), 1):
-        taken = f"{step.frames}, {step.capture}" if step.frames > 1 else step.capture.value
-        option = f"`--{step.option}`" if step.option else ""
-        rows.append(f"| {number} {step.title} | {step.preparation} | {taken} | {step.explanation} | {option} |")
-    return "\n".join(rows)
-
-
 def _estimate_offset(inputs: StepInputs, draft: Draft) -> SlitOffset:
     found = measure_offset(inputs.frames, draft.calibration.background, draft.pair)
     return found if draft.pair is None else offset_at(found, draft.pair)

@@ -26,14 +26,6 @@ _FIELDS: Final = {
 """Fields of the descriptors in order, those of two bytes marked."""
 
 
-CAPABILITIES: Final = (
-    bytes([5, 0x0F, 22, 0, 2])
-    + bytes([7, 0x10, 2, 2, 0, 0, 0])
-    + (bytes([10, 0x10, 3, 0, 0x0E, 0, 1, 0x0A, 0xFF, 0x07]))
-)
-"""Binary device object store: power management of links, and the speeds (USB 3.0, 9.6.2)."""
-
-
 def device(iidc: bool, super_speed: bool = True) -> bytes:
     """Return the device descriptor of a USB3 Vision camera, or of one with the older IIDC firmware.
 
