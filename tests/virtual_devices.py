@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camera_description import add_description
+from faulty_camera import FaultyCamera
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
@@ -20,7 +21,7 @@ from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
 from napari_elsplus.hardware.virtual.camera.bus import Plug, VirtualBus
-from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
+from napari_elsplus.hardware.virtual.camera.device import Shot
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
 from napari_elsplus.hardware.virtual.timeline import BenchClock, StrobeTrain
@@ -117,7 +118,7 @@ class CameraBench:
 def cameras() -> Callable[..., CameraBench]:
     def make(real_time: bool = True, **camera: object) -> CameraBench:
         bench = PlainBench(real_time)
-        device = VirtualCamera(bench, **{"serial": "4711", **camera})
+        device = FaultyCamera(bench, **{"serial": "4711", **camera})
         add_description(device, device.make.describe() if isinstance(device.make, StandardRegisters) else None)
         plug = Plug(device)
         return CameraBench(bench, plug, VirtualBus(plug))

@@ -21,11 +21,12 @@ REGION = Region(4, 16, 1040, 1312)
 @pytest.fixture(scope="module")
 def packets(tmp_path_factory):
     """A session, dissected: configure, stream, stop, with an answer that was asked time for."""
-    from virtual_devices import CameraBench, PlainBench, Plug, VirtualCamera
+    from faulty_camera import FaultyCamera
+    from virtual_devices import CameraBench, PlainBench, Plug
 
     path = tmp_path_factory.mktemp("wireshark") / "session.pcap"
     plain = PlainBench(real_time=False)
-    plug = Plug(VirtualCamera(plain, serial="4711"))
+    plug = Plug(FaultyCamera(plain, serial="4711"))
     with Capture(path) as capture:
         bus = CapturedBus(plug, capture)
         with CameraBench(plain, plug, bus).open(wait_for_reader=True) as camera:

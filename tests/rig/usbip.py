@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from usb.core import USBError, USBTimeoutError
 
 from camera_description import add_description
+from faulty_camera import FaultyCamera
 from napari_elsplus.hardware.virtual.camera import descriptors
 from napari_elsplus.hardware.virtual.camera.descriptors import CONTROL_IN, STREAM_IN
 from napari_elsplus.hardware.virtual.camera.device import Shot, VirtualCamera
@@ -206,7 +207,7 @@ class CameraServer:
 
 
 def _camera() -> VirtualCamera:
-    camera = VirtualCamera(Scene(), serial="4711")
+    camera = FaultyCamera(Scene(), serial="4711")
     camera.identity.max_response_ms = RESPONSE_MS
     add_description(camera)
     return camera

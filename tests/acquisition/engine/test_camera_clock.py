@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from faulty_camera import FaultyCamera
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
@@ -20,7 +21,8 @@ PRESET = PRESETS["240hz"]
 
 
 @pytest.fixture
-def engine():
+def engine(monkeypatch):
+    monkeypatch.setattr("napari_elsplus.hardware.virtual.simulated_rig.VirtualCamera", FaultyCamera)
     rig = open_rig("simulated", Simulation(scene=uniform(), trajectory=Still()))
     with rig, Engine(rig) as engine:
         engine.configure(Settings("240hz"))

@@ -12,7 +12,6 @@ import numpy as np
 from napari_elsplus.hardware.virtual.camera import bootstrap, standard
 from napari_elsplus.hardware.virtual.camera.bootstrap import Identity, StreamInterface, Timestamp
 from napari_elsplus.hardware.virtual.camera.endpoints import (
-    PACKET,
     CameraFaults,
     ControlEndpoint,
     StreamEndpoint,
@@ -20,7 +19,7 @@ from napari_elsplus.hardware.virtual.camera.endpoints import (
 )
 from napari_elsplus.hardware.virtual.camera.iidc import Flea3Registers
 from napari_elsplus.hardware.virtual.camera.memory import Memory
-from napari_elsplus.hardware.virtual.camera.sensor import CHUNK_BYTES, FRAME_INFO_BYTES, Sensor, SensorModel
+from napari_elsplus.hardware.virtual.camera.sensor import Sensor, SensorModel
 from napari_elsplus.hardware.virtual.named_thread import NamedThread
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
 
@@ -39,8 +38,6 @@ LATE_FRAMES: Final = 2
 """Frames by which the simulation is late from which it skips those that nothing waits for; chosen: one is chance."""
 WIRED_LINE: Final = 1
 """Line of the camera that is wired to the card."""
-GAMMA: Final = 0.5
-"""Exponent of the lookup table that a camera applies whose gamma was left on; chosen: the image is visibly wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +139,8 @@ class VirtualCamera:
             bootstrap.abrm(self.identity, timestamp), bootstrap.sbrm(), self.stream.registers(), self.make.registers(),
         ):  # fmt: skip
             self.memory.add(registers)
-        self.control_endpoint = ControlEndpoint(self.memory, self.faults, bench.clock)
-        self.stream_endpoint = StreamEndpoint(self._next_block, self.faults, bench.clock)
+        self.control_endpoint = ControlEndpoint(self.memory, bench.clock)
+        self.stream_endpoint = StreamEndpoint(self._next_block, bench.clock)
         self._frame = self._skipped = 0
         self._pixels = np.zeros(0, np.uint8)
         self._simulation = NamedThread("simulated camera")
@@ -205,7 +202,7 @@ class VirtualCamera:
         )
 
     def _ticks(self, time_s: float) -> int:
-        return round(time_s * 1e9 / self.faults.tick_ns)
+        return round(time_s * 1e9)
 
     # Stream.
 
@@ -214,9 +211,7 @@ class VirtualCamera:
         return self._simulation.run(lambda: self.stream_endpoint.read(buffer, timeout_s))
 
     def _payload_bytes(self) -> int:
-        settings = self.sensor.settings
-        lines = settings.rows * (settings.cols + self.faults.padding_x)
-        return lines + (CHUNK_BYTES if settings.chunks else 0)
+        return self.sensor.settings.rows * self.sensor.settings.cols
 
     def _next_block(self) -> Iterator[Transfer] | None:
         """Return the transfers of the next frame; None while no frame is taken."""
@@ -230,13 +225,9 @@ class VirtualCamera:
 
     def _transfers(self, shot: Shot, sizes: list[int]) -> Iterator[Transfer]:
         """Leader, payload in the sizes that the host has set, trailer (USB3 Vision 1.0.1, image payload)."""
-        faults, chunks = self.faults, self.sensor.settings.chunks
-        time = 0 if faults.blank_timestamps else self._ticks(shot.row_zero_s)
-        kind = standard.IMAGE_WITH_CHUNKS if chunks else standard.IMAGE
-        head = standard.leader(shot.frame, time, shot.region, kind=kind, padding_x=faults.padding_x)
-        yield _whole(head, shot.row_zero_s)
+        yield _whole(self._leader(shot), shot.row_zero_s)
         payload = self._payload(shot)
-        sent = payload[: len(payload) // 2] if faults.take("short_frames") else payload
+        sent = payload[: len(payload) // 2] if self.faults.take("short_frames") else payload
         at = 0
         for room in sizes:
             part = sent[at : at + room]
@@ -244,32 +235,24 @@ class VirtualCamera:
             at += len(part)
             if len(part) < room:
                 break
-        if faults.empty_packets:
-            yield Transfer(payload[:0], PACKET, shot.read_out_s)
         status = standard.DATA_OVERRUN if at < len(sent) else standard.SUCCESS
-        status = standard.DATA_DISCARDED if faults.take("bad_trailers") else status
+        status = standard.DATA_DISCARDED if self.faults.take("bad_trailers") else status
         valid = min(at, len(payload)) if status == standard.DATA_OVERRUN else len(payload)
-        yield _whole(
-            standard.trailer(shot.frame, status, valid, shot.region[2], 1 if chunks else None), shot.read_out_s
-        )
+        yield _whole(self._trailer(shot, status, valid), shot.read_out_s)
+
+    def _leader(self, shot: Shot) -> bytes:
+        return standard.leader(shot.frame, self._ticks(shot.row_zero_s), shot.region)
+
+    def _trailer(self, shot: Shot, status: int, valid_bytes: int) -> bytes:
+        return standard.trailer(shot.frame, status, valid_bytes, shot.region[2])
 
     def _payload(self, shot: Shot) -> NDArray[np.uint8]:
-        """Expose a frame, and change it as the settings do that another program may have left on."""
-        settings, padding = self.sensor.settings, self.faults.padding_x
+        """Expose a frame."""
         rows, cols = shot.region[2:]
         if len(self._pixels) != rows * cols:
             self._pixels = np.zeros(rows * cols, np.uint8)
-        pixels = self._pixels.reshape(rows, cols)
-        self.bench.expose(shot, pixels)
-        if settings.gamma:
-            pixels = np.asarray(255 * (pixels / 255) ** GAMMA, np.uint8)
-        if settings.frame_info:
-            pixels = pixels.copy()
-            pixels.reshape(-1)[: FRAME_INFO_BYTES * settings.frame_info.bit_count()] = 0xAB
-        if padding:
-            pixels = np.pad(pixels, ((0, 0), (0, padding)), constant_values=0xCD)
-        chunk = np.full(CHUNK_BYTES if settings.chunks else 0, 0xEF, np.uint8)
-        return np.concatenate([pixels.reshape(-1), chunk]) if settings.chunks else pixels.reshape(-1)
+        self.bench.expose(shot, self._pixels.reshape(rows, cols))
+        return self._pixels
 
     def _skip_lost_frames(self, train: StrobeTrain) -> None:
         clock = self.bench.clock

@@ -33,46 +33,19 @@ IDLE_S: Final = 0.01
 
 @dataclass
 class CameraFaults:
-    """Faults to inject, and what real cameras do that this one does not by itself.
+    """Faults to inject.
 
     Parameters
     ----------
-    pending_acks, lose_acks, busy_acks : int
-        Number of commands that are answered by PENDING_ACK first, whose answer is lost, and that are refused as BUSY.
-    ack_delay_s : float
-        Time until an acknowledgement is there.
-    halt_control, halt_stream : int
-        Number of times that an endpoint halts at its next transfer.
     short_frames, bad_trailers, drop_frames : int
         Number of frames cut short, ended by a bad trailer, or lost.
-    empty_packets : bool
-        End payloads with an empty packet that the standard does not require.
-    bus_bytes_per_s : float
-        Rate of the bus.
-    padding_x : int
-        Bytes after each line.
-    tick_ns : float
-        Nanoseconds per unit of the timestamps; the standard requires 1.
-    blank_timestamps : bool
-        Leaders have timestamps of zero.
     strobe_off : bool
         Cut the strobe's wire.
     """
 
-    pending_acks: int = 0
-    lose_acks: int = 0
-    busy_acks: int = 0
-    ack_delay_s: float = 0.0
-    halt_control: int = 0
-    halt_stream: int = 0
     short_frames: int = 0
     bad_trailers: int = 0
     drop_frames: int = 0
-    empty_packets: bool = False
-    bus_bytes_per_s: float = np.inf
-    padding_x: int = 0
-    tick_ns: float = 1.0
-    blank_timestamps: bool = False
     strobe_off: bool = False
 
     def take(self, name: str) -> bool:
@@ -90,15 +63,13 @@ class ControlEndpoint:
     ----------
     memory : Memory
         The camera's registers.
-    faults : CameraFaults
-        Faults.
     clock : BenchClock
         Clock of the bench.
     """
 
-    def __init__(self, memory: Memory, faults: CameraFaults, clock: BenchClock) -> None:
-        self._memory, self._faults, self._clock = memory, faults, clock
-        self._answers: deque[tuple[float, bytes]] = deque()
+    def __init__(self, memory: Memory, clock: BenchClock) -> None:
+        self._memory, self._clock = memory, clock
+        self._answers: deque[bytes] = deque()
         self._halted = False
 
     def write(self, packet: bytes) -> None:
@@ -109,23 +80,16 @@ class ControlEndpoint:
         USBError
             If the endpoint is halted, or halts since the command is too long.
         """
-        if self._faults.take("halt_control") or len(packet) > MAX_TRANSFER:
+        if len(packet) > MAX_TRANSFER:
             self._halted = True
         self._refuse_halted()
         try:
             flags, command, request, body = standard.parse_command(packet)
         except ValueError:
             return  # what is no command has no answer
-        if self._faults.take("busy_acks"):
-            status, data = standard.BUSY, b""
-        else:
-            status, data = self._execute(command, body)
-        if self._faults.take("lose_acks") or not flags & standard.ACKNOWLEDGE:
-            return
-        due_s = self._clock.now_s() + self._faults.ack_delay_s
-        if self._faults.take("pending_acks"):
-            self._answers.append((self._clock.now_s(), standard.pending(request, 50)))
-        self._answers.append((due_s, standard.acknowledgement(status, command + 1, request, data)))
+        status, data = self._execute(command, body)
+        if flags & standard.ACKNOWLEDGE:
+            self._answers.append(standard.acknowledgement(status, command + 1, request, data))
 
     def read(self, timeout_s: float) -> bytes:
         """Return the next acknowledgement.
@@ -141,15 +105,10 @@ class ControlEndpoint:
             If there is none.
         """
         self._refuse_halted()
-        now_s = self._clock.now_s()
         if not self._answers:
-            self._clock.wait_until(now_s + min(timeout_s, IDLE_S))
+            self._clock.wait_until(self._clock.now_s() + min(timeout_s, IDLE_S))
             raise USBTimeoutError("no answer", None, errno.ETIMEDOUT)
-        due_s = self._answers[0][0]
-        self._clock.wait_until(min(due_s, now_s + timeout_s))
-        if due_s > now_s + timeout_s:
-            raise USBTimeoutError("no answer yet", None, errno.ETIMEDOUT)
-        return self._answers.popleft()[1]
+        return self._answers.popleft()
 
     def clear_halt(self) -> None:
         """End a halt."""
@@ -201,16 +160,12 @@ class StreamEndpoint:
     ----------
     blocks : callable
         Returns the transfers of the next frame, None while the camera does not stream.
-    faults : CameraFaults
-        Faults.
     clock : BenchClock
         Clock of the bench.
     """
 
-    def __init__(
-        self, blocks: Callable[[], Iterator[Transfer] | None], faults: CameraFaults, clock: BenchClock
-    ) -> None:
-        self._blocks, self._faults, self._clock = blocks, faults, clock
+    def __init__(self, blocks: Callable[[], Iterator[Transfer] | None], clock: BenchClock) -> None:
+        self._blocks, self._clock = blocks, clock
         self._lock = threading.Lock()
         self._halted = False
         self.discard()
@@ -246,8 +201,6 @@ class StreamEndpoint:
             If the endpoint is halted, or a packet is longer than the rest of the buffer.
         """
         with self._lock:
-            if self._faults.take("halt_stream"):
-                self._halted = True
             if self._halted:
                 raise USBError("Pipe error", -9, errno.EPIPE)
             return self._fill(np.frombuffer(buffer, np.uint8), self._clock.now_s() + timeout_s)
@@ -256,19 +209,18 @@ class StreamEndpoint:
         got = 0
         while True:
             transfer = self._next(until_s)
-            left, room = len(transfer.data) - self._sent if transfer else 0, len(out) - got
-            ready = self._ready(transfer, min(left, room), until_s) if transfer else -1
-            if transfer is None or ready < 0:
+            if transfer is None:
                 if got:
                     return got
                 raise USBTimeoutError("no packet", None, errno.ETIMEDOUT)
-            take = min(left, room, ready)
+            left, room = len(transfer.data) - self._sent, len(out) - got
+            take = min(left, room)
             if take == room < left and take % PACKET:
                 raise USBError("Overflow", None, errno.EOVERFLOW)
             out[got : got + take] = transfer.data[self._sent : self._sent + take]
             got, self._sent = got + take, self._sent + take
             if self._sent < len(transfer.data):
-                return got  # the buffer is full, or the time is up
+                return got  # the buffer is full
             self._transfer = None
             if len(transfer.data) % PACKET or len(transfer.data) < transfer.room or got == len(out):
                 return got
@@ -292,20 +244,6 @@ class StreamEndpoint:
             return None
         self._clock.wait_until(self._free_s)
         return self._transfer
-
-    def _ready(self, transfer: Transfer, wanted: int, until_s: float) -> int:
-        """Wait until the bus has carried the wanted bytes; return how many it has by then, -1 if no packet."""
-        rate = self._faults.bus_bytes_per_s
-        if rate == np.inf:
-            return wanted
-        end_s = self._free_s + (self._sent + wanted) / rate
-        self._clock.wait_until(min(end_s, until_s))
-        if end_s <= until_s:
-            if self._sent + wanted == len(transfer.data):
-                self._free_s = end_s
-            return wanted
-        carried = int((until_s - self._free_s) * rate) // PACKET * PACKET - self._sent
-        return carried if carried > 0 else -1
 
     def _wait(self, until_s: float) -> None:
         if self._clock.real_time:

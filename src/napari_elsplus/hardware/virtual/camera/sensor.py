@@ -13,10 +13,6 @@ if TYPE_CHECKING:
 
 IDLE: Final = LINE_RATE_HZ / 240 / 524
 """Shortest frame period over the time in which its rows are read, as in the paper's modes."""
-FRAME_INFO_BYTES: Final = 4
-"""Bytes of each number that a Flea3 writes over the first pixels (maker's register reference, 12F8h)."""
-CHUNK_BYTES: Final = 24
-"""Bytes of the chunks behind an image: a number of 8 bytes, and a trailer of 8 bytes for it and for the image."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,11 @@ from struct import pack, unpack_from
 from typing import Final
 
 SUCCESS, NOT_IMPLEMENTED, INVALID_PARAMETER, INVALID_ADDRESS = 0x0000, 0x8001, 0x8002, 0x8003
-WRITE_PROTECT, ACCESS_DENIED, BUSY = 0x8004, 0x8006, 0x8007
+WRITE_PROTECT, ACCESS_DENIED = 0x8004, 0x8006
 """GenCP 1.1, table of status codes."""
 PAYLOAD_NOT_ALIGNED, STREAM_REGISTERS_INCONSISTENT, DATA_DISCARDED, DATA_OVERRUN = 0xA003, 0xA004, 0xA100, 0xA101
 """USB3 Vision 1.0.1, table of additional status codes."""
-READ_MEMORY, WRITE_MEMORY, PENDING = 0x0800, 0x0802, 0x0805
+READ_MEMORY, WRITE_MEMORY = 0x0800, 0x0802
 """GenCP 1.1, table of command identifiers; an acknowledgement has the command's identifier plus one."""
 ACKNOWLEDGE: Final = 0x4000
 """Bit of the command's flags that requests an acknowledgement (GenCP 1.1, common command data)."""
@@ -22,7 +22,7 @@ COMMAND_BYTES: Final = 12
 """Prefix of four bytes and common command data of eight (USB3 Vision 1.0.1, control packet prefix)."""
 MONO8: Final = 0x0108_0001
 """Pixel Format Naming Convention: one component, 8 bits, number 1."""
-IMAGE, IMAGE_WITH_CHUNKS = 0x0001, 0x4001
+IMAGE: Final = 0x0001
 """USB3 Vision 1.0.1, table of payload types."""
 LEADER_BYTES, TRAILER_BYTES, CHUNK_TRAILER_BYTES = 52, 32, 36
 """USB3 Vision 1.0.1: image leader, image trailer, and the trailer of an image with chunks."""
@@ -69,14 +69,7 @@ def acknowledgement(status: int, command: int, request: int, data: bytes = b"") 
     return bytes([0x55, 0x33, 0x56, 0x43]) + pack("<HHHH", status, command, len(data), request) + data
 
 
-def pending(request: int, timeout_ms: int) -> bytes:
-    """Return the acknowledgement by which the device requests `timeout_ms` more for a `request`."""
-    return acknowledgement(SUCCESS, PENDING, request, pack("<HH", 0, timeout_ms))
-
-
-def leader(
-    block: int, time_ns: int, region: tuple[int, int, int, int], *, kind: int = IMAGE, padding_x: int = 0
-) -> bytes:
+def leader(block: int, time_ns: int, region: tuple[int, int, int, int]) -> bytes:
     """Return the leader of an image.
 
     Parameters
@@ -87,17 +80,13 @@ def leader(
         Timestamp.
     region : tuple of int
         Row, col, rows, cols.
-    kind : int
-        Payload type.
-    padding_x : int
-        Bytes after each line.
     """
     row, col, rows, cols = region
-    head = bytes([0x55, 0x33, 0x56, 0x4C]) + pack("<HHQHHQ", 0, LEADER_BYTES, block, 0, kind, time_ns)  # "U3VL"
-    return head + pack("<5I2H", MONO8, cols, rows, col, row, padding_x, 0)
+    head = bytes([0x55, 0x33, 0x56, 0x4C]) + pack("<HHQHHQ", 0, LEADER_BYTES, block, 0, IMAGE, time_ns)  # "U3VL"
+    return head + pack("<5I2H", MONO8, cols, rows, col, row, 0, 0)
 
 
-def trailer(block: int, status: int, valid_bytes: int, rows: int, chunk_layout: int | None = None) -> bytes:
+def trailer(block: int, status: int, valid_bytes: int, rows: int) -> bytes:
     """Return the trailer of an image.
 
     Parameters
@@ -110,9 +99,7 @@ def trailer(block: int, status: int, valid_bytes: int, rows: int, chunk_layout: 
         Bytes of the payload that were sent.
     rows : int
         Lines of the image.
-    chunk_layout : int, optional
-        Identifier of the chunks' layout; None: there are none.
     """
-    size = TRAILER_BYTES if chunk_layout is None else CHUNK_TRAILER_BYTES
-    head = bytes([0x55, 0x33, 0x56, 0x54]) + pack("<HHQHHQI", 0, size, block, status, 0, valid_bytes, rows)  # "U3VT"
-    return head if chunk_layout is None else head + pack("<I", chunk_layout)
+    return bytes([0x55, 0x33, 0x56, 0x54]) + pack(  # "U3VT"
+        "<HHQHHQI", 0, TRAILER_BYTES, block, status, 0, valid_bytes, rows
+    )
