@@ -10,6 +10,7 @@ import pytest
 import tifffile
 from napari.utils.notifications import notification_manager
 from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QLabel
 
 from napari_elsplus._reader import get_reader
 from napari_elsplus._view import FILLED, SETTLED_MS
@@ -58,6 +59,27 @@ def test_what_is_opened_first_fills_the_canvas_above_a_scale_bar_and_what_follow
     viewer.open(path, plugin=PLUGIN)
     qtbot.wait(3 * SETTLED_MS)
     assert (camera.center, camera.zoom, bar.visible) == (*view, False)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_what_is_opened_first_fills_a_canvas_that_the_layers_controls_make_narrower(
+    make_napari_viewer_proxy, tmp_path, qtbot, moved
+):
+    """Before: where a layer took longer than others are waited for, they were fitted before all were there."""
+    viewer = make_napari_viewer_proxy(show=True)
+    camera = viewer.scene.camera
+    viewer.window.resize(800, 600)
+    viewer.window.add_dock_widget(QLabel("a panel of some width, beside the canvas"), area="right")
+    qtbot.wait(3 * SETTLED_MS)
+    before = viewer.canvas.size
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    if moved:
+        camera.center = (7, 8)
+    qtbot.wait(3 * SETTLED_MS)
+    assert viewer.canvas.size != before
+    corners = viewer.layers["scan ELS+"].extent.world[:, -2:]
+    fitted = camera.center[-2:] == pytest.approx(corners.mean(axis=0))
+    assert fitted != moved
 
 
 def test_the_window_answers_between_the_layers_of_a_recording(make_napari_viewer_proxy, tmp_path):

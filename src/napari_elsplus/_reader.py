@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import napari
 from napari.utils.notifications import show_error, show_info, show_warning
 
-from napari_elsplus._view import answer_between_layers, fit_first_layers
+from napari_elsplus._view import view_opened_layers
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
@@ -75,10 +75,9 @@ def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
 def _with_common_axes(layers: list[Layer]) -> list[tuple[Any, ...]]:
     """Return layers whose unknown axes are those of the calibrated layers in the viewer, with a warning."""
     viewer = napari.current_viewer()
-    fit_first_layers(viewer)
+    view_opened_layers(viewer, len(layers))
     if viewer is None:
         return [tuple(layer) for layer in layers]
-    answer_between_layers(viewer, len(layers))
     _show_depth(viewer)
     reference, new, warned = reference_axes(viewer.layers), [], False
     for data, words, kind in layers:

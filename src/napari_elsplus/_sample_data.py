@@ -14,7 +14,7 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QEventLoop
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus._view import answer_between_layers, fit_first_layers
+from napari_elsplus._view import view_opened_layers
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.processing.images.sectioning import Mode
@@ -71,7 +71,6 @@ def compilation_displayed() -> Iterator[None]:
 @compilation_displayed()
 def recording() -> list[tuple[Any, ...]]:
     """Return layers of a probe moved by hand over fibres for two seconds: titles, raw, ELSA, LS, residual, ELS+."""
-    fit_first_layers(napari.current_viewer())
     frames = simulate_recording(frames=FRAMES, seed=SEED)
     stack = Stack("fibres", _planes(frames), _metadata())
     raw = raw_layer(stack, frames.calibration)
@@ -84,7 +83,6 @@ def recording() -> list[tuple[Any, ...]]:
 @compilation_displayed()
 def calibration_set() -> list[tuple[Any, ...]]:
     """Return layers of calibration recordings: standing line, sweep with its voltages, transmission, background."""
-    fit_first_layers(napari.current_viewer())
     taken = simulate_calibration(seed=SEED)
     parts = {"dark tube": taken.background, "distal light": taken.bundle, "sweep": taken.sweep, "line": taken.line}
     layers = []
@@ -101,7 +99,6 @@ def calibration_set() -> list[tuple[Any, ...]]:
 @compilation_displayed()
 def axial_scan() -> list[tuple[Any, ...]]:
     """Return layers of an axial scan of a stained plate: raw, LS, residual, ELS+."""
-    fit_first_layers(napari.current_viewer())
     stack, calibration = simulated_scan(seed=SEED)
     stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)
@@ -111,7 +108,7 @@ def axial_scan() -> list[tuple[Any, ...]]:
 
 def _opened(layers: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     """Return layers of a sample, between which the window answers when napari adds them."""
-    answer_between_layers(napari.current_viewer(), len(layers))
+    view_opened_layers(napari.current_viewer(), len(layers))
     return layers
 
 

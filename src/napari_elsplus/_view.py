@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 FILLED: Final = 0.95
 """Share of the canvas that the layers fill, as with napari's own reset of the view."""
 SETTLED_MS: Final = 50
-"""Time without another layer after which all are open and laid out, milliseconds; chosen, some turns of the loop."""
+"""Time from the last layer until all are laid out, milliseconds; chosen, some turns of the loop."""
 
 
 def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
@@ -39,67 +40,46 @@ def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
     viewer.scene.camera.zoom = FILLED * float((viewer.canvas.size / np.maximum(high - low, 1e-9)).min())
 
 
-def fit_first_layers(viewer: napari.viewer.Viewer | None) -> None:
-    """Fit the layers that are being opened into the canvas if there are none before, and show the scale bar.
-
-    napari fits the first layer before the controls beside it have narrowed the canvas, and fits hidden raw frames, too.
-
-    Parameters
-    ----------
-    viewer : napari.Viewer or None
-        Displays two dimensions, else its view is left as it is, as it is where a script has set it meanwhile. The scale
-        bar is shown where the scale is known.
-    """
-    if viewer is None or len(viewer.layers):
-        return
-    opened_with: list[object] = []
-    settled = QTimer()
-    settled.setSingleShot(True)
-    settled.setInterval(SETTLED_MS)
-    seen, inserted = weakref.ref(viewer), viewer.layers.events.inserted
-
-    def restart(_: Any) -> None:
-        opened_with[:] = _view_of(seen())
-        settled.start()
-
-    def fit() -> None:
-        inserted.disconnect(restart)
-        opened = seen()
-        if opened is None or not len(opened.layers) or opened.dims.ndisplay != 2:
-            return
-        if _view_of(opened) == opened_with:
-            fit_visible_layers(opened)
-        if all(PIXEL not in map(str, layer.units[-2:]) for layer in opened.layers):
-            opened.canvas.overlays.scale_bar.visible = True
-
-    settled.timeout.connect(fit)
-    inserted.connect(restart, position="last")  # after napari's own reset of the view
-
-
-def answer_between_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
-    """Draw the window, and let its timers run, after each of the layers that are being opened.
+def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
+    """Answer between the layers that are being opened; fit them into the canvas of a viewer that had none before.
 
     napari inserts all layers of a file in one turn of the event loop. Each takes a tenth of a second, and several on a
-    busy computer: live images stood still, and the engine took the window for frozen.
+    busy computer: live images stood still, and the engine took the window for frozen. So the window is drawn, and its
+    timers run, after each of them. napari fits the first one before the controls beside it have narrowed the canvas,
+    and fits hidden raw frames, too.
 
     Parameters
     ----------
     viewer : napari.Viewer or None
-        Into which they are opened.
+        Into which they are opened. Its view is left as it is where it displays three dimensions, or a script has set it
+        meanwhile. The scale bar is shown where the scale is known.
     count : int
         Number of layers.
     """
     if viewer is None or QApplication.instance() is None:
         return
-    inserted, left = viewer.layers.events.inserted, [count]
+    opened, inserted, left = weakref.ref(viewer), viewer.layers.events.inserted, [count]
+    first = not len(viewer.layers)
 
     def answer(_: Any) -> None:
         left[0] -= 1
         if left[0] <= 0:
             inserted.disconnect(answer)
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+        if left[0] <= 0 and first:
+            QTimer.singleShot(SETTLED_MS, partial(_fit_unless_moved, opened, _view_of(opened())))
 
-    inserted.connect(answer, position="last")
+    inserted.connect(answer, position="last")  # after napari's own reset of the view
+
+
+def _fit_unless_moved(opened: weakref.ref[napari.viewer.Viewer], view: list[object]) -> None:
+    viewer = opened()
+    if viewer is None or not len(viewer.layers) or viewer.dims.ndisplay != 2:
+        return
+    if _view_of(viewer) == view:
+        fit_visible_layers(viewer)
+    if all(PIXEL not in map(str, layer.units[-2:]) for layer in viewer.layers):
+        viewer.canvas.overlays.scale_bar.visible = True
 
 
 def _view_of(viewer: napari.viewer.Viewer | None) -> list[object]:
