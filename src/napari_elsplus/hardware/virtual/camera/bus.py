@@ -33,7 +33,7 @@ class Plug:
         4: USB 3; 3: USB 2.
     iidc : bool
         It has the old firmware, which is not USB3 Vision.
-    forbidden, busy, unplugged : bool
+    forbidden, unplugged : bool
         Faults.
     """
 
@@ -41,7 +41,6 @@ class Plug:
     speed: int = 4
     iidc: bool = False
     forbidden: bool = False
-    busy: bool = False
     unplugged: bool = False
     interfaces: set[int] = field(default_factory=set)
 
@@ -120,7 +119,7 @@ class VirtualBus(IBackend):  # type: ignore[misc] # pyusb has no types
     def claim_interface(self, dev_handle: Plug, intf: int) -> None:
         """Claim an interface; see :meth:`usb.backend.IBackend.claim_interface`."""
         self._reach(dev_handle)
-        if dev_handle.busy or intf in dev_handle.interfaces:
+        if intf in dev_handle.interfaces:
             raise USBError("Resource busy", -6, errno.EBUSY)
         dev_handle.interfaces.add(intf)
 
