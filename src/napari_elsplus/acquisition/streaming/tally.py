@@ -71,8 +71,10 @@ class Tally:
 
     Attributes
     ----------
-    processed, recorded : int
-        Frames that have their result; frames in the file.
+    acquired, processed, recorded : int
+        Frames that the camera delivered whole and that went into the stream; that have their result; in the file.
+    first_s : float
+        Time of the first frame, on the clock of ``time.perf_counter``; NaN before it.
     dropped : Counter
         Frames lost, by cause; a frame may be acquired and yet be lost to one of its consumers.
     latency : LatencyHistogram
@@ -80,19 +82,13 @@ class Tally:
     """
 
     def __init__(self) -> None:
-        self.processed = 0
-        self.recorded = 0
+        self.acquired = self.processed = self.recorded = 0
+        self.first_s = nan
         self.dropped: Counter[str] = Counter()
         self.latency = LatencyHistogram()
         self._numbered_s: deque[tuple[int, float]] = deque(maxlen=_RATE_FRAMES)
-        self._first_s = self._last_s = nan
-        self._acquired = 0
+        self._last_s = nan
         self._saturated = self._displayed = 0.0
-
-    @property
-    def acquired(self) -> int:
-        """Frames that the camera delivered whole and that went into the stream."""
-        return self._acquired
 
     def arrived(self, received_s: float, frame_number: int, readout_start_s: float) -> None:
         """Count a frame that went into the stream.
@@ -106,11 +102,11 @@ class Tally:
         readout_start_s : float
             When its readout began on the camera's clock, seconds.
         """
-        if not self._acquired:
-            self._first_s = received_s
+        if not self.acquired:
+            self.first_s = received_s
         self._last_s = received_s
         self._numbered_s.append((frame_number, readout_start_s))
-        self._acquired += 1
+        self.acquired += 1
 
     def displayed(self, saturated: float) -> None:
         """Count a displayed frame by the share of its pixels that are `saturated`."""
@@ -136,11 +132,6 @@ class Tally:
             self.dropped[cause] = count
 
     @property
-    def first_s(self) -> float:
-        """Time of the first frame, on the clock of ``time.perf_counter``; NaN before it."""
-        return self._first_s
-
-    @property
     def saturated(self) -> float:
         """Mean share of saturated pixels in the displayed frames of the run; NaN before the first one."""
         return self._saturated / self._displayed if self._displayed else nan
@@ -148,7 +139,7 @@ class Tally:
     @property
     def mean_hz(self) -> float:
         """Frames that arrived per second over the whole run; NaN before the second frame."""
-        return (self._acquired - 1) / (self._last_s - self._first_s) if self._acquired > 1 else nan
+        return (self.acquired - 1) / (self._last_s - self.first_s) if self.acquired > 1 else nan
 
     @property
     def camera_hz(self) -> float:
