@@ -288,17 +288,7 @@ def axial_response(
     zeros = gain * systematic.ls_zero_dn, gain * systematic.residual_zero_dn
     correlated_dn = systematic.gain * of_residual.mean[contact:]
     ls_fall, els_fall = _falls(means, contact, zeros, correlated_dn)
-    if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
-        raise MeasurementError(
-            f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
-            "is the laser on, and does the background belong to this scan?",
-        )
-    # In contact both views have the shot noise of LS, of which little is left at most depths.
-    light = np.sqrt(np.maximum(of_ls.mean / ls_fall.contact, _MIN_LIGHT))
-    els_noise = float(np.hypot(noise_of_curve(of_els.depth, of_els.mean / light)[0], correlated_dn[0]))
-    if not (els_fall.contact > _MIN_SIGNAL_SIGMAS * els_noise and els_fall.contact > 0):
-        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels, its uncertainty {els_noise:.2g}"
-        raise MeasurementError(problem, "is the residual's slit off the line?")
+    _require_signal(of_ls, of_els, ls_fall, els_fall, float(correlated_dn[0]))
     if contact == len(of_ls.depth) - 1:
         raise MeasurementError(
             f"the plate's signal is largest at the last depth, {of_ls.depth[contact] + 0.0:g} um",
@@ -345,6 +335,23 @@ def axial_response(
         unseen_um=0.0 if loss is not None else changes[3] or changes[2],
         black=black,
     )
+
+
+def _require_signal(
+    of_ls: DepthMeans, of_els: DepthMeans, ls_fall: FallingCurve, els_fall: FallingCurve, correlated_dn: float
+) -> None:
+    """Raise a MeasurementError if LS or ELS+ in contact does not stand out of its noise."""
+    if not (ls_fall.contact > _MIN_SIGNAL_SIGMAS * ls_fall.noise and ls_fall.contact > 0):
+        raise MeasurementError(
+            f"the plate's signal in contact is {ls_fall.contact:.3g} grey levels, the noise {ls_fall.noise:.2g}",
+            "is the laser on, and does the background belong to this scan?",
+        )
+    # In contact both views have the shot noise of LS, of which little is left at most depths.
+    light = np.sqrt(np.maximum(of_ls.mean / ls_fall.contact, _MIN_LIGHT))
+    els_noise = float(np.hypot(noise_of_curve(of_els.depth, of_els.mean / light)[0], correlated_dn))
+    if not (els_fall.contact > _MIN_SIGNAL_SIGMAS * els_noise and els_fall.contact > 0):
+        problem = f"ELS+ in contact is {els_fall.contact:.3g} grey levels, its uncertainty {els_noise:.2g}"
+        raise MeasurementError(problem, "is the residual's slit off the line?")
 
 
 def _means(depths: Curve, signals: list[Curve], gains: Curve) -> tuple[DepthMeans, DepthMeans, DepthMeans]:

@@ -21,6 +21,8 @@ from napari_elsplus.processing.calibration.step import StepSummary
 from napari_elsplus.processing.images.sectioning import disc
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import BundleSection
@@ -137,27 +139,7 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
                 f"the gain of the residual view varies by {100 * spread:.0f} % over the field: is the bundle lit from "
                 "its far end, the laser off? The residual view of a scanned target lacks the light from its focus"
             )
-    for name, view in (("confocal", pair.confocal), ("residual", pair.residual)):
-        if view.edge_seen < MIN_CERTAIN_EDGE:
-            warnings.append(
-                f"the edge of the {name} view is seen on {100 * view.edge_seen:.0f} % of its circumference only: "
-                "is the target dark at the bundle's rim?"
-            )
-        if (share := seen_share(view, pair.image.shape)) < 1:
-            warnings.append(
-                f"the frame's edge cuts the {name} view: {100 * share:.1f} % of its diameter is seen; there is no "
-                f"residual beyond: record a larger region"
-            )
-    if not pair.shows_flat_field:
-        what = (
-            f"{100 * pair.saturated:.0f} % of the image is saturated"
-            if pair.saturated > MAX_SATURATED
-            else _varies(pair.structure)
-        )
-        how = (
-            "the sweep gives it instead" if known.flat is not None else "light the bundle evenly, or give a flat field"
-        )
-        warnings.append(f"{what}: it gives no flat field; {how}")
+    warnings += _doubtful_image(pair, has_flat_field=known.flat is not None)
     if known.um_per_px is None:
         warnings.append("micrometres unknown: enter the diameter of the bundle")
     if known.offset is not None:
@@ -179,6 +161,26 @@ def summarize_pair(pair: BundlePair, draft: Draft, _setup: Setup) -> StepSummary
         lines.append(PAPER_TEXT)
     details = [f"BIC of the models of view alignment: {evidence}"] if evidence else []
     return StepSummary(headline, lines, warnings, details)
+
+
+def _doubtful_image(pair: BundlePair, *, has_flat_field: bool) -> Iterator[str]:
+    """Yield a warning of each edge that is hardly seen or cut, and of an image that gives no flat field."""
+    for name, view in (("confocal", pair.confocal), ("residual", pair.residual)):
+        if view.edge_seen < MIN_CERTAIN_EDGE:
+            yield (
+                f"the edge of the {name} view is seen on {100 * view.edge_seen:.0f} % of its circumference only: "
+                "is the target dark at the bundle's rim?"
+            )
+        if (share := seen_share(view, pair.image.shape)) < 1:
+            yield (
+                f"the frame's edge cuts the {name} view: {100 * share:.1f} % of its diameter is seen; there is no "
+                f"residual beyond: record a larger region"
+            )
+    if not pair.shows_flat_field:
+        saturated = f"{100 * pair.saturated:.0f} % of the image is saturated"
+        what = saturated if pair.saturated > MAX_SATURATED else _varies(pair.structure)
+        how = "the sweep gives it instead" if has_flat_field else "light the bundle evenly, or give a flat field"
+        yield f"{what}: it gives no flat field; {how}"
 
 
 def _gain_text(bundle: BundleSection | None, alignment: Alignment) -> str:
