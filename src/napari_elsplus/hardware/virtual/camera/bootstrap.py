@@ -127,22 +127,21 @@ class StreamInterface:
         Returns the bytes of a frame as the camera is set.
     on_enable : callable
         Called with True when the stream is enabled, False when it is disabled.
+
+    Attributes
+    ----------
     alignment : int
         Bytes in whose multiples transfers are sized, a power of two.
     max_transfer : int
         Largest payload transfer size; larger ones are clamped, which the host finds by reading them back.
     """
 
-    def __init__(
-        self,
-        payload_bytes: Callable[[], int],
-        on_enable: Callable[[bool], None],
-        alignment: int = 1024,
-        max_transfer: int = 1 << 32,
-    ) -> None:
+    alignment = 1024
+    max_transfer = 1 << 32
+
+    def __init__(self, payload_bytes: Callable[[], int], on_enable: Callable[[bool], None]) -> None:
         self.enabled = False
         self._payload_bytes, self._on_enable = payload_bytes, on_enable
-        self.alignment, self.max_transfer = alignment, max_transfer
         self._held = dict.fromkeys((0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C), 0)
 
     def registers(self) -> dict[int, Register]:

@@ -43,12 +43,17 @@ class VirtualCard:
     ----------
     clock : BenchClock, optional
         Clock of the bench; that of the computer by default.
+
+    Attributes
+    ----------
     device : str
-        Name of the card.
+        Its name.
     """
 
-    def __init__(self, clock: BenchClock | None = None, device: str = "Dev1") -> None:
-        self.clock, self.device = clock or BenchClock(), device
+    device = "Dev1"
+
+    def __init__(self, clock: BenchClock | None = None) -> None:
+        self.clock = clock or BenchClock()
         self._lock = threading.RLock()
         self._resets = threading.Condition(self._lock)
         self.faults = CardFaults()

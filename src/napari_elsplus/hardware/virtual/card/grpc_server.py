@@ -28,16 +28,19 @@ PRODUCT_NAME: Final = "virtual card"
 """Product type of the card."""
 
 
+THREADS: Final = 4
+"""Threads that serve calls; chosen: one that hangs leaves others, for the reset around it."""
+
+
 class DaemonPool(futures.Executor):
     """Threads that do not keep the interpreter alive, and that still serve while it ends.
 
     So the galvo can be parked when the interpreter ends.
     """
 
-    def __init__(self, threads: int = 4) -> None:
+    def __init__(self) -> None:
         self._work: queue.SimpleQueue[tuple[futures.Future[Any], Callable[[], Any]] | None] = queue.SimpleQueue()
-        self._threads = threads
-        for _ in range(threads):
+        for _ in range(THREADS):
             threading.Thread(target=self._serve, name="simulated card", daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> futures.Future[Any]:
@@ -49,7 +52,7 @@ class DaemonPool(futures.Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the threads after the queued calls, without waiting; see :meth:`concurrent.futures.Executor.shutdown`."""
         del wait, cancel_futures
-        for _ in range(self._threads):
+        for _ in range(THREADS):
             self._work.put(None)
 
     def _serve(self) -> None:

@@ -229,4 +229,4 @@ def _outline_circle(mask: NDArray[np.bool_], start: tuple[float, float, float]) 
     edge = np.array(mask.shape) - 1
     free = ((hull > 0) & (hull < edge)).all(axis=1)
     points = hull[free] if free.sum() >= 8 else hull
-    return circle_through(points, np.array(start), 1.0)
+    return circle_through(points, np.array(start))

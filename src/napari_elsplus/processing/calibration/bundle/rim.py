@@ -132,8 +132,8 @@ def _surroundings(frame: Image, circle: Floats) -> tuple[Image, Floats]:
     return frame[first[0] : stop[0], first[1] : stop[1]], circle - [*first, 0]
 
 
-def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
-    """Fit a circle (row, column, radius) to points by a Cauchy loss.
+def circle_through(points: Floats, start: Floats) -> Floats:
+    """Fit a circle (row, column, radius) to points by a Cauchy loss: those beyond a pixel from it count little.
 
     Parameters
     ----------
@@ -141,16 +141,12 @@ def circle_through(points: Floats, start: Floats, scale_px: float) -> Floats:
         Row and column of each, shape (n, 2).
     start : numpy.ndarray
         Initial row, column and radius.
-    scale_px : float
-        Distance beyond which a point counts little.
     """
 
     def misses(circle: Floats) -> Floats:
-        away: Floats = np.hypot(points[:, 0] - circle[0], points[:, 1] - circle[1]) - circle[2]
-        return away
+        return np.asarray(np.hypot(*(points - circle[:2]).T) - circle[2], np.float64)
 
-    circle: Floats = scipy.optimize.least_squares(misses, start, loss="cauchy", f_scale=scale_px).x
-    return circle
+    return np.asarray(scipy.optimize.least_squares(misses, start, loss="cauchy").x, np.float64)
 
 
 def _evenly_lit(frame: Image, circle: Floats, samples: int = 60) -> Image:
