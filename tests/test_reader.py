@@ -177,10 +177,18 @@ def test_a_calibration_that_does_not_fit_is_a_warning_and_the_raw_frames(make_na
     assert "64 x 128" in message
 
 
-def test_only_what_is_ours_is_claimed(tmp_path):
+def test_a_file_that_is_not_ours_is_named_with_what_is(make_napari_viewer_proxy, tmp_path, said):
+    """Before: a traceback, since no other reader takes it."""
     (tmp_path / "other.json").write_text('{"a": 1}')
-    assert get_reader(str(tmp_path / "other.json")) is None
-    assert get_reader(str(tmp_path / "absent.json")) is None
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(tmp_path / "other.json"), plugin=PLUGIN)
+    ((severity, message),) = said()
+    assert severity == "error"
+    assert message.startswith("other.json is neither a recording nor a calibration: recordings are TIFF")
+    assert not viewer.layers
+
+
+def test_several_files_are_not_read_as_one(tmp_path):
     assert get_reader([str(tmp_path / "a.tif"), str(tmp_path / "b.tif")]) is None
     assert get_reader(str(newer(tmp_path))) is not None
 

@@ -8,6 +8,7 @@ import pytest
 import tifffile
 import zarr
 from napari.layers import Image
+from napari.utils.notifications import notification_manager
 
 from napari_elsplus._writer import write_image
 from napari_elsplus.errors import InputError
@@ -61,10 +62,23 @@ def test_frames_that_cannot_be_read_are_displayed_as_empty_and_not_saved(make_na
     viewer.open(str(folder), plugin=PLUGIN)
     with pytest.warns(UnreadablePlane, match=r"2\.tif has shape"):
         viewer.dims.set_current_step(0, 2)
-    with pytest.raises(InputError, match=r"2\.tif has shape"):
-        viewer.layers[0].save(str(tmp_path / "saved.tif"), plugin=PLUGIN)
+    layer = viewer.layers[0]
+    with pytest.warns(UserWarning, match="did not return any written paths"):
+        assert layer.save(str(tmp_path / "saved.tif"), plugin=PLUGIN) == []
+    assert "2.tif has shape" in notification_manager.records[-1].message
     assert not (tmp_path / "saved.tif").exists()
     viewer.layers.clear()
+
+
+def test_an_error_of_saving_is_displayed_in_a_window_and_raised_in_a_script(make_napari_viewer_proxy, tmp_path):
+    """Before: napari printed its traceback."""
+    (tmp_path / "file").write_text("a folder's name")
+    path, attributes = str(tmp_path / "file" / "x.tif"), {"name": "x", "scale": (1, 1), "units": ("um", "um")}
+    with pytest.raises(InputError, match="there is no folder"):
+        write_image(path, np.zeros((4, 5), np.uint8), attributes)
+    make_napari_viewer_proxy()
+    assert write_image(path, np.zeros((4, 5), np.uint8), attributes) == []
+    assert "there is no folder" in notification_manager.records[-1].message
 
 
 @pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])

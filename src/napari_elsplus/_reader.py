@@ -13,7 +13,7 @@ from napari_elsplus._view import view_opened_layers
 from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
-from napari_elsplus.io.formats.registry import CALIBRATION
+from napari_elsplus.io.formats.registry import CALIBRATION, foreign_file
 from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
@@ -32,7 +32,7 @@ NO_LAYERS: Final[list[tuple[Any, ...]]] = [(None,)]
 
 
 def get_reader(path: str | Sequence[str]) -> Reader | None:
-    """Return the function that reads a path to layers, or None if it is no recording and no calibration.
+    """Return the function that reads a path to layers, or None for several paths.
 
     Parameters
     ----------
@@ -43,8 +43,14 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
         return None
     file = Path(path)
     if file.suffix.lower() in CALIBRATION.suffixes:
-        return read_calibration_file if is_calibration(file) else None
+        return read_calibration_file if is_calibration(file) else refuse_file
     return read_recording
+
+
+def refuse_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
+    """Display that the file at `path` is none of ours: where no reader takes a file, napari prints a traceback."""
+    show_error(str(foreign_file(Path(str(path)))))
+    return NO_LAYERS
 
 
 def read_recording(path: str | Sequence[str]) -> list[tuple[Any, ...]]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Any
 
+import napari
 import numpy as np
 import pint
+from napari.utils.notifications import show_error
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
@@ -43,11 +45,20 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Raises
     ------
     InputError
-        If the layer is in colour or has more dimensions, a plane cannot be read, or no format writes the suffix.
+        If the layer is in colour or has more dimensions, a plane cannot be read, or no format writes the suffix. Where
+        a viewer is open, it is displayed instead, and no file is returned: napari would print its traceback.
+    OSError
+        If the file cannot be written; displayed likewise.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
-        return _write(path, data, attributes)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
+            return _write(path, data, attributes)
+    except (ElsPlusError, OSError) as error:
+        if napari.current_viewer() is None:
+            raise
+        show_error(error_message(error))
+        return []
 
 
 def _write(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:

@@ -228,6 +228,13 @@ def supported_recordings() -> str:
     return ", ".join(f"{one.name} ({' '.join(one.suffixes)})" if one.suffixes else one.name for one in readable)
 
 
+def foreign_file(path: Path) -> InputError:
+    """Return the error that the file at a path is no recording and no calibration."""
+    return InputError(
+        f"{path.name} is neither a recording nor a calibration", f"recordings are {supported_recordings()}"
+    )
+
+
 def recording_stem(name: str) -> str:
     """Return the file name of a recording without its suffixes and without ``.ome``.
 

@@ -12,8 +12,7 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent, QTimer
 from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from napari_elsplus.errors import InputError
-from napari_elsplus.io.formats.registry import supported_recordings
+from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
@@ -81,9 +80,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
             try:
                 self.viewer.open(str(path), plugin=PLUGIN)
             except ValueError as error:  # napari's, where no reader of ours takes it
-                raise InputError(
-                    f"{path.name} is neither a recording nor a calibration", f"recordings are {supported_recordings()}"
-                ) from error
+                raise foreign_file(path) from error
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
         """Accept files; see :meth:`QWidget.dragEnterEvent`."""
