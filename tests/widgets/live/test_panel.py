@@ -172,6 +172,20 @@ def test_an_image_that_is_removed_while_it_streams_is_unticked(viewer, panel, qt
     assert {layer.name for layer in images(viewer)} == {"live LS", "live ELS+"}, "removed between streams"
 
 
+def test_start_displays_images_after_all_were_removed(viewer, panel, qtbot):
+    """Before: none, also in the next session, which remembered that none was ticked."""
+    start(panel, qtbot)
+    viewer.layers.clear()
+    qtbot.waitUntil(lambda: not panel.form.chosen, timeout=30_000)
+    qtbot.wait(300)
+    assert panel.live
+    assert not viewer.layers
+    stop(panel, qtbot)
+    assert LiveForm(QWidget()).chosen == []
+    start(panel, qtbot)
+    assert {layer.name for layer in images(viewer)} == {"live LS", "live ELS+"}
+
+
 def test_a_view_that_cannot_be_made_is_said_and_the_stream_goes_on(panel, qtbot, said):
     start(panel, qtbot)
     panel.form.flat_field.value = True

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 SECTION: Final = "live"
 ONCE, CONTINUOUS, FIXED = "once", "continuous", "fixed"
+DEFAULT_KINDS: Final = (Mode.LS.value, Mode.ELS.value)
 DEFAULT_LIMIT_S: Final = 10.0
 """Default duration of a recording, seconds; chosen: 1.7 GB at 240 Hz, and several passes over a lesion."""
 
@@ -56,7 +57,7 @@ class LiveForm:
             text="Copy as script", tooltip="Copy a Python script that streams and records with these settings"
         )
         self.kinds = {
-            kind: CheckBox(value=kind in (Mode.LS, Mode.ELS), text=title, tooltip=_TIPS[kind])
+            kind: CheckBox(value=kind in DEFAULT_KINDS, text=title, tooltip=_TIPS[kind])
             for kind, title in KINDS.items()
         }
         self.side_by_side = CheckBox(
@@ -133,6 +134,12 @@ class LiveForm:
     def chosen(self) -> list[str]:
         """Selected kinds of images."""
         return [kind for kind, box in self.kinds.items() if box.value]
+
+    def choose_some(self) -> None:
+        """Tick the images of the first session where none is ticked, as after all layers were removed."""
+        if not self.chosen:
+            for kind in DEFAULT_KINDS:
+                self.kinds[kind].value = True
 
     @property
     def plan(self) -> RecordingPlan:

@@ -85,6 +85,7 @@ class LivePanel(EnginePanel):
         elif client is not None and client.status.live:
             self.requests.follow(client.stop())
         else:
+            self.form.choose_some()
             self.layers.begin()
             self.prepare_rig(self._start)
         self.refresh()

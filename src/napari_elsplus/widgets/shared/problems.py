@@ -30,7 +30,7 @@ class Problems:
         return next(reversed(self._messages.values()), "")
 
     def report(self, message: str, panel: QWidget | None = None) -> None:
-        """Show a message as a notification and remember it.
+        """Show a message as a notification and remember it; one that another panel has shown is not shown twice.
 
         Parameters
         ----------
@@ -40,8 +40,10 @@ class Problems:
             The panel whose action failed.
         """
         self.resolve(panel)  # to the end of the order
+        shown = message in self._messages.values()
         self._messages[None if panel is None else id(panel)] = message
-        show_error(message)
+        if not shown:
+            show_error(message)
 
     def resolve(self, panel: QWidget | None = None) -> None:
         """Forget the error of a panel, after an action that succeeded or when it is removed.
