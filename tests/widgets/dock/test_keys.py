@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from napari.settings import get_settings
 from qtpy.QtGui import QKeySequence, QShortcut
@@ -55,6 +58,13 @@ def test_each_key_pressed_acts_once_from_another_tab_and_is_not_ambiguous(dock):
     for key in KEYS.values():
         press(window, key)
     assert pressed == [QKeySequence(key).toString() for key in KEYS.values()]
+
+
+@pytest.mark.checkout
+def test_every_key_is_listed_in_the_documentation():
+    """Before: four of ten."""
+    page = (Path(__file__).parents[3] / "docs" / "live.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\| (Ctrl\S+) \|", page, re.MULTILINE)) == sorted(KEYS.values())
 
 
 def test_no_key_is_one_of_napari(dock):
