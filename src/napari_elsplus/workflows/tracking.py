@@ -20,7 +20,7 @@ from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -297,23 +297,28 @@ class Pipeline:
         self.refine(raw_pair)
         self.deformation = None
         self._estimate_light(raw_pair)
-        tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
-        last = {self.poses[k].segment: k for k in tracked}.values()
-        covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF
-        clarity = Clarity(self.grid) if covers else None
 
         def image(index: int) -> NDArray[np.float32]:
             return self._corrected(self.image(*raw_pair(index)), index)
 
-        def insert_all(indices: Iterable[int]) -> None:
-            self.mosaics = {}
-            for index in indices:
-                self.insert(partial(image, index), self.poses[index], always=index in last, clarity=clarity)
-
-        insert_all(progress(tracked))
+        self._draw(image, progress)
         if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
             self.deformation = found
-            insert_all(tracked)
+            self._draw(image)
+
+    def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: ProgressWrapper = iter) -> None:
+        """Insert all tracked frames into fresh mosaics."""
+        tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
+        last = {self.poses[k].segment: k for k in tracked}.values()
+        self.mosaics = {}
+        covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF
+        clarity = Clarity(self.blank_mosaic().grid) if covers else None
+        for index in progress(tracked):
+            self.insert(partial(image, index), self._placed(self.poses[index]), always=index in last, clarity=clarity)
+
+    def _placed(self, pose: Pose) -> Pose:
+        """Return a pose in pixels of the mosaics."""
+        return pose
 
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""

@@ -141,6 +141,19 @@ class Deformation:
         rows, cols = moved.astype(np.float32)
         return np.asarray(cv2.remap(image, cols, rows, cv2.INTER_CUBIC), np.float32)
 
+    def on(self, grid: Grid) -> Deformation:
+        """Return the same fields for images on another grid.
+
+        Parameters
+        ----------
+        grid : Grid
+            Of the same bundle.
+        """
+        other = Deformation(grid)
+        ratio = grid.diameter / self._grid.diameter
+        other._fields = {index: ratio * field for index, field in self._fields.items()}
+        return other
+
     @cached_property
     def _whole_grid(self) -> tuple[Floats, Floats]:
         """Return all points of the grid, (2, side, side), and the polynomials there, (terms, side, side)."""

@@ -1,1 +1,1 @@
-"""Mosaics sampled core by core, from raw recordings and from stacks of bundle images."""
+"""Mosaics finer than the images that are tracked: in pixels of the camera, and core by core."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import hypot
+from math import hypot, inf
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,10 +23,11 @@ from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
-from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
-from napari_elsplus.processing.tracking.registry import Method
+from napari_elsplus.processing.tracking.registry import Method, tracking_method
+from napari_elsplus.workflows.core_mosaicing.fine_pipeline import FinePipeline
 from napari_elsplus.workflows.core_mosaicing.views import CoreView, FinishedBundle, view_of_raw_frames
 from napari_elsplus.workflows.tracking import Pipeline
 
@@ -265,7 +266,9 @@ def new_pipeline(
         If cores are to be inserted that the calibration's flat field does not show.
     """
     if Insertion(insertion) is not Insertion.CORES:
-        return Pipeline(calibration, frame_shape, mode, method=method, insertion=insertion)
+        finer = tracking_method(method).tapers_rim and Grid.of(calibration, inf).binning < Grid.of(calibration).binning
+        made = FinePipeline if finer else Pipeline
+        return made(calibration, frame_shape, mode, method=method, insertion=insertion)
     view = view_of_raw_frames(calibration, frame_shape, mode)
     return CorePipeline(calibration, frame_shape, mode, view=view, method=method)
 

@@ -22,7 +22,7 @@ from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
 from napari_elsplus.processing.tracking.front_end.binning import subtract_views, survey
-from napari_elsplus.processing.tracking.front_end.grid import Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX, Grid, lit_pixels, rectangle_within
 from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
 from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
@@ -64,6 +64,8 @@ class FrontEnd:
         Rows and columns of the raw frames.
     mode : Mode
         Which image is made.
+    diameter_px : float
+        Of the bundle on the grid, as of :meth:`Grid.of`.
 
     Raises
     ------
@@ -71,8 +73,14 @@ class FrontEnd:
         If the bundle was not located, lies outside of such a frame, or was measured on frames of another size.
     """
 
-    def __init__(self, calibration: Calibration, frame_shape: tuple[int, int], mode: Mode = Mode.ELS) -> None:
-        grid = Grid.of(calibration)
+    def __init__(
+        self,
+        calibration: Calibration,
+        frame_shape: tuple[int, int],
+        mode: Mode = Mode.ELS,
+        diameter_px: float = GRID_DIAMETER_PX,
+    ) -> None:
+        grid = Grid.of(calibration, diameter_px)
         require_frame_shape(calibration, frame_shape)
         self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
         assert calibration.bundle is not None
