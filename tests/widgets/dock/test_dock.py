@@ -63,7 +63,7 @@ def test_every_tab_has_whole_words_and_a_panel_in_a_scroll_area(dock):
     for index in range(bar.count()):
         assert bar.tabRect(index).width() >= bar.fontMetrics().horizontalAdvance(bar.tabText(index))
     for title, tab in dock.by_title.items():
-        assert isinstance(panel(dock, title).parentWidget().parentWidget(), QScrollArea), title
+        assert panel(dock, title).findChild(QScrollArea) is not None, title
         assert type(panel(dock, title)) is tab.kind.load()
 
 
@@ -78,7 +78,7 @@ def test_it_fits_the_window_of_a_laptop(viewer, dock, qtbot, size):
     for title, tab in dock.by_title.items():
         dock.show_tab(title)
         scroll = tab.findChild(QScrollArea)
-        assert scroll.viewport().width() >= panel(dock, title).minimumSizeHint().width(), title
+        assert scroll.viewport().width() >= scroll.widget().minimumSizeHint().width(), title
 
 
 @pytest.mark.parametrize("font_pt", [9, 13, 18])
@@ -100,7 +100,20 @@ def test_the_window_fits_a_laptop_with_fonts_of_any_size(viewer, dock, qtbot, fo
             assert window.minimumSizeHint().width() <= 1280, title
             assert scroll.horizontalScrollBar().maximum() == 0, title
         else:
-            assert scroll.horizontalScrollBar().maximum() > 0 or panel(dock, title).minimumSizeHint().width() < 525
+            assert scroll.horizontalScrollBar().maximum() > 0 or scroll.widget().minimumSizeHint().width() < 525
+
+
+def test_a_panel_in_a_dock_of_its_own_beside_the_others_fits_the_window_of_a_laptop(viewer, dock, qtbot):
+    """Before: it did not scroll, and the window grew beyond the screen."""
+    viewer.window.show()
+    viewer.window.resize(1280, 800)
+    window = dock.window()
+    for kind in PANELS:
+        viewer.window.add_plugin_dock_widget(PLUGIN, kind.title)
+        qtbot.wait(50)
+        assert window.minimumSizeHint().height() <= 800, kind.title
+        dock.by_title[kind.title].take_panel()
+        assert panel(dock, kind.title) is not None
 
 
 def test_a_panel_of_the_menu_is_the_one_of_the_tab_and_comes_back_with_its_state(viewer, dock, qtbot):

@@ -8,9 +8,10 @@ from qtpy.QtCore import QSize, Qt
 from qtpy.QtWidgets import QDockWidget, QSizePolicy, QTabWidget, QVBoxLayout
 
 from napari_elsplus.widgets.dock.status_line import StatusLine
-from napari_elsplus.widgets.dock.tab import MAX_MIN_WIDTH_PX, MIN_WIDTH_PX, PanelKind, Tab
+from napari_elsplus.widgets.dock.tab import MIN_WIDTH_PX, PanelKind, Tab
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import timer
+from napari_elsplus.widgets.shared.window.scrolling import MAX_MIN_WIDTH_PX
 
 if TYPE_CHECKING:
     import napari.viewer

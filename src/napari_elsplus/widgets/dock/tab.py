@@ -1,25 +1,20 @@
-"""A tab of the ELS+ dock: a panel in a scroll area, or a note where the panel has a dock of its own."""
+"""A tab of the ELS+ dock: a panel, or a note where the panel has a dock of its own."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
-from qtpy.QtWidgets import QDockWidget, QFrame, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtWidgets import QDockWidget, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from napari_elsplus.widgets.shared.panel import Panel, find_panel
 
 if TYPE_CHECKING:
     import napari.viewer
 
-MIN_HEIGHT_PX: Final = 280
-"""Smallest height of a tab's content, pixels; chosen: with title, tabs and status line the dock needs about 400."""
 MIN_WIDTH_PX: Final = 440
 """Smallest width of the dock, pixels; chosen, so that plots can be read."""
-MAX_MIN_WIDTH_PX: Final = 525
-"""Largest width that the dock demands, pixels; measured: with a font of 13 points napari's own docks and the smallest
-canvas leave 532 of 1280. Where tabs or panels need more, in larger fonts, they scroll."""
 
 
 class PanelKind(NamedTuple):
@@ -105,16 +100,15 @@ class Tab(QWidget):
         return bool(super().eventFilter(watched, event))
 
     def _hold(self, panel: Panel) -> None:
-        scroll = _PanelScrollArea(panel)
         self._panel = panel
         panel.installEventFilter(self)
-        self._show(scroll)
+        self._show(panel)
         panel.show()
 
     def _show(self, content: QWidget) -> None:
         before, self._content = self._content, content
         self._layout.addWidget(content)
-        if before is not None:
+        if before is not None and self.isAncestorOf(before):  # not a panel that was docked elsewhere
             before.deleteLater()
 
     def _note(self) -> QWidget:
@@ -130,25 +124,3 @@ class Tab(QWidget):
         layout.addWidget(back, 0, Qt.AlignmentFlag.AlignCenter)
         layout.addStretch(1)
         return note
-
-
-class _PanelScrollArea(QScrollArea):
-    """Scrolls a panel, sideways only where the font makes it too wide for the window of a laptop."""
-
-    def __init__(self, panel: Panel) -> None:
-        super().__init__()
-        self.setFrameShape(QFrame.Shape.NoFrame)
-        self.setWidgetResizable(True)
-        self.setWidget(panel)
-
-    def minimumSizeHint(self) -> QSize:
-        """Return the panel's smallest width with the scroll bar, and a height that fits small screens."""
-        panel, bar = self.widget(), self.verticalScrollBar()
-        width_px = (panel.minimumSizeHint().width() if panel else 0) + (bar.sizeHint().width() if bar else 0)
-        return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX)
-
-    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Follow changes of the panel's smallest width; see :meth:`QObject.eventFilter`."""
-        if event is not None and event.type() == QEvent.Type.LayoutRequest:
-            self.updateGeometry()
-        return bool(super().eventFilter(watched, event))

@@ -16,6 +16,7 @@ from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.window.scrolling import PanelScrollArea
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -217,8 +218,11 @@ def timer(parent: QObject, interval_ms: int, slot: Callable[[], Any], *, once: b
 
 
 def panel_layout(panel: QWidget) -> QVBoxLayout:
-    """Return the layout of a panel's rows, with the margins that all panels have."""
-    layout = QVBoxLayout(panel)
+    """Return the layout of a panel's rows, which scroll, with the margins that all panels have."""
+    content = QWidget()
+    outer, layout = QVBoxLayout(panel), QVBoxLayout(content)
+    outer.setContentsMargins(0, 0, 0, 0)
+    outer.addWidget(PanelScrollArea(content))
     layout.setContentsMargins(*[MARGIN_PX] * 4)
     return layout
 
