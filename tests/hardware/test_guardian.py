@@ -403,6 +403,7 @@ def test_a_process_that_stands_still_is_parked_and_told_when_it_goes_on(script) 
         if pid != guardian and on_guard and stage == "parked" and reports:
             break
     assert "stood still" in reports[0]
+    assert "what ended it" not in reports[0], "nothing has ended"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")

@@ -107,8 +107,9 @@ def command(
         )  # fmt: skip
     result.save(output, track, force=force)
     states = [row.state for row in result.track]
+    segments = f"{result.segments} segment{'s' * (result.segments != 1)}"
     click.echo(
-        f"{states.count('tracked')} of {len(states)} frames tracked in {result.segments} segments, "
+        f"{states.count('tracked')} of {len(states)} frames tracked in {segments}, "
         f"{states.count('predicted')} predicted, {states.count('lost')} lost"
     )
     for note in result.notes:

@@ -204,7 +204,8 @@ def notes(status: Status, calibration: Calibration) -> Iterator[str]:
 def tracked(rows: Sequence[TrackPoint]) -> str:
     """Return the number of tracked frames among the rows of a track, in words."""
     segments = [row.segment for row in rows if row.state == "tracked"]
-    return f"{len(segments)} of {len(rows)} frames tracked in {len(set(segments))} segments"
+    count = len(set(segments))
+    return f"{len(segments)} of {len(rows)} frames tracked in {count} segment{'s' * (count != 1)}"
 
 
 def summary(status: Status) -> str:

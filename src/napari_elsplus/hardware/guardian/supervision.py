@@ -43,6 +43,7 @@ START_TIMEOUT_S: Final = 30.0
 """Seconds for a guardian to be ready; chosen: ten times that of a busy computer."""
 END_TIMEOUT_S: Final = 1.5
 """Seconds for a dismissed guardian to end, before it is killed; chosen: no call takes longer than 2 s."""
+_ENDED_REMEDY: Final = "find out what ended it (memory, or another program), then start again"
 
 
 class GuardianProcess:
@@ -264,12 +265,15 @@ class Guardian:
             checked_s = now_s
             if not self._process.on_guard:
                 if self._process.took_over:
-                    self._lose(f"this process stood still for {STANDSTILL_S:g} s, so its guardian parked the galvo")
+                    self._lose(
+                        f"this process stood still for {STANDSTILL_S:g} s, so its guardian parked the galvo",
+                        "end what keeps the computer busy, or stopped this process, then start again",
+                    )
                 self._replace("did not answer" if self._process.alive else "had ended")
 
-    def _lose(self, problem: str) -> None:
+    def _lose(self, problem: str, remedy: str = _ENDED_REMEDY) -> None:
         """Report a problem, because of which the galvo has to be parked."""
-        call_each((self._lost,), self._report(problem))
+        call_each((self._lost,), self._report(problem, remedy))
 
     def _replace(self, why: str) -> None:
         begun_s = time.monotonic() - self._process.silent_s
@@ -290,10 +294,10 @@ class Guardian:
         if new.wait_until_ready(START_TIMEOUT_S):
             self._report("another guardian is on guard; the galvo may be used again")
 
-    def _report(self, problem: str) -> DeviceError:
+    def _report(self, problem: str, remedy: str = _ENDED_REMEDY) -> DeviceError:
         if self._reports and self._reports[-1].problem == problem:
             return self._reports[-1]
-        report = DeviceError(problem, "find out what ended it (memory, or another program), then start again")
+        report = DeviceError(problem, remedy)
         self._reports.append(report)
         call_each(tuple(self._subscribers), report)
         return report
