@@ -157,7 +157,7 @@ def changes() -> list[Change]:
         *constant("odds accepted from, nats", pair, "MIN_ODDS_NATS"),
         *left_out(
             "motion prior in the odds", odds,
-            ("        less += prior_terms(full, expected, terms)[1] - prior\n", ""),
+            (" + prior_terms(other, expected, terms)[1] - prior_terms(warp, expected, terms)[1]\n", "\n"),
         ),
         *constant("degrees of freedom", "motion/motion_prior", "DEGREES_OF_FREEDOM", without="1e6", anew=True),
         *left_out(

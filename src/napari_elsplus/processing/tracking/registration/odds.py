@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.front_end.sampling import FramePair
-    from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, Terms
+    from napari_elsplus.processing.tracking.motion.motion_prior import Terms
     from napari_elsplus.processing.tracking.registration.lucas_kanade import Workspace
 
     Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def write_prior(px: float, terms: Terms, weight: float, out: Array) -> None:
     terms : tuple of float
         :attr:`~.motion_prior.MotionPrior.terms`.
     weight : float
-        From :func:`prior_weight`.
+        From :func:`prior_terms`.
     out : numpy.ndarray
         (4, 4) float64 or larger, filled.
     """
@@ -165,6 +165,23 @@ def prior_terms(warp: Warp, expected: Warp, terms: Terms) -> tuple[float, float]
 
 
 @lean_kernel
+def log_odds_between(pair: FramePair, warp: Warp, other: Warp, expected: Warp, terms: Terms, sums: Array) -> float:
+    """Return the log odds of a registered warp against another one of the same frames, nats.
+
+    Parameters
+    ----------
+    pair, sums
+        As in :func:`log_ratio`.
+    warp, other : Warp
+        Both, in pixels of full resolution.
+    expected, terms
+        As in :func:`prior_terms`.
+    """
+    nats = log_ratio(pair, in_pixels_of(2.0, warp), in_pixels_of(2.0, other), sums)
+    return nats + prior_terms(other, expected, terms)[1] - prior_terms(warp, expected, terms)[1]
+
+
+@lean_kernel
 def log_odds(
     pair: FramePair, warp: Warp, information: Array, expected: Warp, terms: Terms, sums: Array, work: Workspace
 ) -> float:
@@ -184,9 +201,7 @@ def log_odds(
     _, down, across, a_follows, s_follows = weakest_direction(information)
     if down == 0.0 and across == 0.0:
         return 0.0
-    held, slope, half = work.stiffness, terms[1], in_pixels_of(2.0, warp)
-    prior = prior_terms(warp, expected, terms)[1]
-    against = 0.0
+    held, slope, against = work.stiffness, terms[1], 0.0
     # one competitor stands for all shifts that the prior allows
     alike = max(1.0, 1 / (terms[2] * COMPETITORS_PX[0] ** 2))
     for px in COMPETITORS_PX:
@@ -202,28 +217,9 @@ def log_odds(
         rival, correlated_px = in_pixels_of(2.0, full), CORRELATED_PX / 4 / _FIT.row_step
         work.tone[0], work.tone[1] = 1.0, 0.0
         rival = align(pair, _FIT, in_pixels_of(2.0, centre), held, correlated_px, rival, work.schur, work)[2]
-        full = in_pixels_of(0.5, rival)
-        less = log_ratio(pair, half, rival, sums)
-        less += prior_terms(full, expected, terms)[1] - prior
+        less = log_odds_between(pair, warp, in_pixels_of(0.5, rival), expected, terms, sums)
         against += alike * np.exp(-min(max(less, -700.0), 700.0))
     return float(-np.log(max(against, 1e-300)))
-
-
-def log_odds_between(pair: FramePair, warp: Warp, other: Warp, motion: MotionPrior, sums: Array) -> float:
-    """Return the log odds of a registered warp against another one of the same frames, nats.
-
-    Parameters
-    ----------
-    pair, sums
-        As in :func:`log_ratio`.
-    warp, other : Warp
-        Both, in pixels of full resolution.
-    motion : MotionPrior
-        Prior of the motion between the frames.
-    """
-    nats: float = log_ratio(pair, in_pixels_of(2.0, warp), in_pixels_of(2.0, other), sums)
-    less, more = (prior_terms(one, motion.warp, motion.terms)[1] for one in (warp, other))
-    return nats + more - less
 
 
 @lean_kernel

@@ -277,16 +277,16 @@ class Registrar:
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float
     ) -> PairRegistration:
         """Register two frames from every shift that may be the most likely one; the odds know of the others."""
-        halves, sums = self._halves(earlier, later), self._tools.sums
+        halves, known = self._halves(earlier, later), (motion.warp, motion.terms, self._tools.sums)
         starts = self._searched(earlier, later, motion)
         links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
         found = [link for link in links if link.correlation > 0] or links[:1]
         best = found[0]
         for link in found[1:]:
-            if log_odds_between(halves, link.warp, best.warp, motion, sums) > 0:
+            if log_odds_between(halves, link.warp, best.warp, *known) > 0:
                 best = link
         others = (
-            log_odds_between(halves, best.warp, link.warp, motion, sums)
+            log_odds_between(halves, best.warp, link.warp, *known)
             for link in found
             if hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
         )
