@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity
-from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins
+from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins, without_jolts
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 
 SHUTTER = RollingShutter(300.0)
@@ -30,3 +31,21 @@ def test_the_origin_of_a_segment_of_a_probe_that_rotates_has_an_angle() -> None:
     origin, _ = with_origins([LOST, first], [TrackedPair(0, 1, moved, link)], SHUTTER)
     assert origin.angle == np.pi / 2 - 0.02
     np.testing.assert_allclose((origin.row, origin.col), (moved.col, -moved.row))
+
+
+@pytest.mark.parametrize(
+    ("begins", "odds", "stands"),
+    [((2, 3), 40.0, True), ((3, 4), 40.0, False), ((4, 5), 40.0, False), ((5, 6), 40.0, True), ((4, 5), 400.0, True)],
+    ids=["goes on", "after a jolt", "the first was jolted, too", "later", "sure"],
+)
+def test_a_segment_does_not_begin_with_a_frame_that_may_have_been_jolted(
+    begins: tuple[int, int], odds: float, stands: bool
+) -> None:
+    """Frames 0 to 2 are tracked, and a registration that begins another segment is withdrawn where that comes soon."""
+    moved = Displacement(*STEADY)
+    found = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, 40.0)
+    before = [TrackedPair(k, k + 1, moved, found) for k in range(2)]
+    start = TrackedPair(*begins, moved, found._replace(odds=odds))
+    follows = TrackedPair(begins[1], begins[1] + 1, moved, found)
+    kept = without_jolts([*before, start, follows])
+    assert kept == [*before, *([start] if stands else []), follows]

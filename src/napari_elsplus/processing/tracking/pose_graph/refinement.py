@@ -26,6 +26,9 @@ SURE_ODDS_NATS: Final = 200.0
 """Log posterior odds from which a registration stands even if no later one does; chosen on seeds 1000 to 1059 of
 ``benchmarks.studies.acceptance``: at 50, 20 registrations of sparse and jerky scenes are wrong where 15 are, and
 without a bound right ones of rich tissue are withdrawn before each jolt."""
+BREAK_FRAMES: Final = 2
+"""Frames from the end of a segment within which the next one begins where a jolt parts them; chosen on seeds 3000 to
+3019 and 920 to 959 of ``benchmarks.studies.acceptance``: with 1, one of eight wrong registrations is withdrawn."""
 _SOLVED_AT: Final = 1.1
 """Factor by which the number of nodes grows between two solutions; chosen, so that their cost stays linear."""
 
@@ -116,6 +119,27 @@ def borne_out(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Track
     # a first registration that waited stands with the one that confirmed it
     begun = {link.earlier for link in standing}
     return [link for link in standing if poses[link.later].state is TrackingState.TRACKED or link.later in begun]
+
+
+def without_jolts(links: Sequence[TrackedPair]) -> list[TrackedPair]:
+    """Return the registrations but for those that begin a segment just after another, to which nothing joins them.
+
+    Where a jolt parts the track, the first frame after it may show fibres only in rows read after the jolt. Its middle
+    lies elsewhere, which its registration with the next frame does not show.
+
+    Parameters
+    ----------
+    links : sequence of TrackedPair
+        Those of a finished track, with those tracked backwards, which join segments that no jolt parts.
+    """
+    reached = {link.later for link in links}
+    return [
+        link
+        for link in links
+        if link.earlier in reached
+        or link.registration.odds >= SURE_ODDS_NATS
+        or reached.isdisjoint(range(link.earlier - BREAK_FRAMES, link.earlier))
+    ]
 
 
 def located(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: RollingShutter) -> list[Pose]:
