@@ -144,6 +144,23 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     assert sigma.max() < 0.5
 
 
+def test_frames_that_begin_segments_are_joined_only_if_they_correlate_as_they_do_within_theirs() -> None:
+    """Before: they had no correlation to compare with, and two of 0.54 over a lattice joined places 388 px apart."""
+    front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
+    tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
+    nodes: list[Node] = []
+    for k, frame in enumerate(truth().frames[:2]):
+        front_end.image(frame, tracker.slot())
+        pose = tracker.add()
+        nodes += trail.add(k, pose, tracker.links[-1] if tracker.links else None)
+    first = nodes[0].pose
+    assert (nodes[0].frame, first.score) == (0, pose.score)
+    register, expected = NodeRegistration(Registrar(front_end.grid)), Edge.between(0, 1, first, first)
+    link = PairRegistration(Warp(1.0, 0.0, 0.0, 0.0), np.eye(4) * 1e4, first.score, 0.9, 100.0)
+    assert register.joins(link, (first, first), expected)
+    assert not register.joins(link._replace(correlation=0.54), (first, first), expected)
+
+
 def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:
     grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
     trail = KeyframeSelector(grid)

@@ -117,7 +117,8 @@ class KeyframeSelector:
         self._gone += abs(pose.at - before.at)
         if link is not None and isnan(before.score):
             velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
-            nodes.append(Node(known[0], before._replace(velocity=velocity), 0.0, np.eye(2), 1.0))
+            first = before._replace(velocity=velocity, score=pose.score)  # both frames correlate with each other alone
+            nodes.append(Node(known[0], first, 0.0, np.eye(2), 1.0))
         self._newest, begins_to_turn = link, False
         if link is not None and newest is not None:
             if link.earlier != newest.earlier:  # frames are registered to a newer one now, which was registered by that
