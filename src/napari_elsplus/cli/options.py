@@ -1,4 +1,4 @@
-"""Options that several commands share, tests of their values, and the progress bar."""
+"""Options that several commands share, tests of their values, the progress bar, and a track in words."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from napari_elsplus.io.atomic import real_path
 from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import Recording
+    from napari_elsplus.io import Recording, TrackPoint
 
     Item = TypeVar("Item")
 
@@ -280,3 +280,10 @@ def progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
 def calibration_progress(numbers: Iterable[Item], step: str) -> Iterable[Item]:
     """Display a progress bar of the numbers of a step of a calibration, as :func:`progress`."""
     return progress(numbers, f"Calibrating: {step}")
+
+
+def tracked(rows: Sequence[TrackPoint]) -> str:
+    """Return the number of tracked frames among the rows of a track, and of their segments, in words."""
+    segments = [row.segment for row in rows if row.state == "tracked"]
+    count = len(set(segments))
+    return f"{len(segments)} of {len(rows)} frames tracked in {count} segment{'s' * (count != 1)}"

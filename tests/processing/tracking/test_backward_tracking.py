@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.studies.acceptance import Row, grid_of, recorded
+from benchmarks.studies.acceptance import Row, TruePath, grid_of, recorded
 from napari_elsplus.processing.tracking.backward_tracking import completed, reversed_registration
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, located, without_jolts
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
@@ -54,13 +54,18 @@ def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
     assert not links
 
 
-def test_frames_lost_before_a_segment_are_tracked_from_it_backwards_and_join_it_with_the_one_before() -> None:
-    row = Row(60, "hand", 20.0)
-    recording, grid = recorded(row, seed=2004), grid_of(row)
-    tracker, poses = Tracker(grid), []
+def forwards(row: Row, seed: int) -> tuple[TruePath, Tracker, list[Pose]]:
+    """Return a recording of the acceptance study, the tracker that has seen all of it, and the poses."""
+    recording, tracker, poses = recorded(row, seed=seed), Tracker(grid_of(row)), []
     for image in recording.images:
         tracker.slot()[:] = image
         poses.append(tracker.add())
+    return recording, tracker, poses
+
+
+def test_frames_lost_before_a_segment_are_tracked_from_it_backwards_and_join_it_with_the_one_before() -> None:
+    recording, tracker, poses = forwards(Row(60, "hand", 20.0), 2004)
+    grid = tracker.grid
     alone = without_jolts(borne_out(poses, tracker.links))
     before = located(poses, alone, grid.shutter)
     after, links = completed(poses, tracker, recording.images.__getitem__)
@@ -79,12 +84,8 @@ def test_frames_lost_before_a_segment_are_tracked_from_it_backwards_and_join_it_
 
 def test_a_jolt_within_the_first_frame_after_it_leaves_no_wrong_registration() -> None:
     """Fibres were in view of rows read after the jolt only: by them the frame's middle was 22 px off."""
-    row = Row(60, "jolted", 240.0)
-    recording, grid = recorded(row, seed=3002), grid_of(row)
-    tracker, poses = Tracker(grid), []
-    for image in recording.images:
-        tracker.slot()[:] = image
-        poses.append(tracker.add())
+    recording, tracker, poses = forwards(Row(60, "jolted", 240.0), 3002)
+    grid = tracker.grid
     after, links = completed(poses, tracker, recording.images.__getitem__)
     misses = [np.subtract(moved, np.diff(recording.positions[[a, b]], axis=0)[0]) for a, b, moved, *_ in links]
     assert grid.binning * np.hypot(*np.transpose(misses)).max() < 3.0

@@ -19,6 +19,7 @@ from napari_elsplus.cli.options import (
     output_option,
     progress,
     refuse_outputs,
+    tracked,
 )
 from napari_elsplus.errors import InputError
 
@@ -107,11 +108,7 @@ def command(
         )  # fmt: skip
     result.save(output, track, force=force)
     states = [row.state for row in result.track]
-    segments = f"{result.segments} segment{'s' * (result.segments != 1)}"
-    click.echo(
-        f"{states.count('tracked')} of {len(states)} frames tracked in {segments}, "
-        f"{states.count('predicted')} predicted, {states.count('lost')} lost"
-    )
+    click.echo(f"{tracked(result.track)}, {states.count('predicted')} predicted, {states.count('lost')} lost")
     for note in result.notes:
         click.echo(f"note: {note}")
 

@@ -18,6 +18,7 @@ from napari_elsplus.cli.options import (
     force_option,
     progress,
     refuse_outputs,
+    tracked,
 )
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage
@@ -27,13 +28,12 @@ from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.instrument.scanning import dark_advice, lag_advice, rate_advice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
     from napari_elsplus.acquisition.engine.engine import Engine
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import TrackPoint
     from napari_elsplus.workflows.tracking import Pipeline
 
 _STEP_S = 0.1
@@ -199,13 +199,6 @@ def notes(status: Status, calibration: Calibration) -> Iterator[str]:
         yield f"{rate}; `acquire` and `calibrate --rig` take --rate-hz"
     for section, reason in status.stale.items():
         yield f"the calibration's {section} may not hold: {reason}"
-
-
-def tracked(rows: Sequence[TrackPoint]) -> str:
-    """Return the number of tracked frames among the rows of a track, in words."""
-    segments = [row.segment for row in rows if row.state == "tracked"]
-    count = len(set(segments))
-    return f"{len(segments)} of {len(rows)} frames tracked in {count} segment{'s' * (count != 1)}"
 
 
 def summary(status: Status) -> str:
