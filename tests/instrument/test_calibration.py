@@ -66,6 +66,7 @@ def test_unmeasured_sections_are_absent_and_asked_for() -> None:
         ([], "no napari-elsplus/calibration"),
         ({"format": "other"}, "no napari-elsplus/calibration"),
         ({"other": 1}, "no napari-elsplus/calibration"),
+        ({"version": 1, "created": "2026-01-01T00:00:00Z"}, "no napari-elsplus/calibration"),
         (RECORD | {"version": VERSION + 1}, f"version {VERSION + 1}"),
         (RECORD | {"version": "new"}, "new"),
         (changed("bundle", confocal_centre=[float("nan"), 1]), "confocal_centre"),

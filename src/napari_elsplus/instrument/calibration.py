@@ -283,7 +283,8 @@ class Calibration(Section):
         CalibrationError
             If it is no calibration, has a newer version, or contains NaN or impossible numbers.
         """
-        foreign = isinstance(content, dict) and bool(content) and not content.keys() & cls.model_fields.keys()
+        own = cls.model_fields.keys() - {"version", "created"}  # which other files have, too
+        foreign = isinstance(content, dict) and bool(content) and content.keys().isdisjoint(own)
         if not isinstance(content, dict) or foreign or content.get("format", FORMAT) != FORMAT:
             raise CalibrationError(f"this is no {FORMAT} record", "name the .json file that `calibrate` wrote")
         version = content.get("version", VERSION)
@@ -343,8 +344,7 @@ class Calibration(Section):
         """Raise a `CalibrationError` that names the first absent one of some sections and the command to measure it."""
         for name in sections:
             if getattr(self, name) is None:
-                how = CALIBRATE_COMMANDS.get(name, "calibrate")
-                remedy = f"measure it with `{how}`, or in the Calibration panel"
+                remedy = f"measure it with `{CALIBRATE_COMMANDS.get(name, 'calibrate')}`, or in the Calibration panel"
                 raise CalibrationError(f"the calibration has no {name} section", remedy)
 
     @property

@@ -84,6 +84,7 @@ def test_a_stage_is_recalled_only_for_the_same_file(tmp_path: Path) -> None:
     (scan,) = touched(tmp_path / "scan.tif")
     item = BatchItem("scan", str(scan), job(tmp_path / "out"))
     open_output(item.job)
+    item.records.mkdir()
     (images,) = touched(*item.files("section"))
     assert item.recall("section") is None
     item.remember("section", {"images": 3}, item.fingerprint())
@@ -105,6 +106,7 @@ def test_a_stage_is_recalled_only_for_the_same_frames_of_a_folder(tmp_path: Path
     frames = touched(*(folder / f"{k}.tif" for k in range(3)))
     item = BatchItem("frames", str(folder), job(tmp_path / "out"))
     open_output(item.job)
+    item.records.mkdir()
     touched(*item.files("section"))
     item.remember("section", {}, item.fingerprint())
     assert item.recall("section") == {}
@@ -117,6 +119,7 @@ def test_a_stage_is_recalled_only_for_the_same_calibration(tmp_path: Path) -> No
     (scan,) = touched(tmp_path / "scan.tif")
     item = BatchItem("scan", str(scan), job(tmp_path / "out"))
     open_output(item.job)
+    item.records.mkdir()
     touched(*item.files("section"))
     beside, folders = tmp_path / "scan.calibration.json", tmp_path / "calibration.json"
     changes = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,9 +21,10 @@ from click.testing import CliRunner
 from napari_elsplus.cli import elsplus
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import open_recording, read_calibration, read_track, write_calibration
+from napari_elsplus.io.atomic import MAX_NAME_BYTES
 from napari_elsplus.workflows.batch import cluster, stages, tasks
 from napari_elsplus.workflows.batch.cluster import WORKER_ENVIRONMENT, batch_client
-from napari_elsplus.workflows.batch.job import FORMATS, RECORDS, BatchItem, BatchJob, open_output
+from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, open_output
 from napari_elsplus.workflows.batch.run import batch
 from napari_elsplus.workflows.batch.tasks import ERROR
 from napari_elsplus.workflows.mosaicing import mosaic
@@ -90,6 +92,21 @@ def test_a_batch_is_resumed_without_doing_anything_twice(
     assert not left.exists()
 
 
+@pytest.mark.usefixtures("inline")
+def test_a_recording_may_have_the_longest_name_of_a_file(recordings: Path, tmp_path: Path) -> None:
+    longest = "n" * (MAX_NAME_BYTES - len(".tif"))
+    shutil.copy(recordings / "a.tif", tmp_path / f"{longest}.tif")
+    listed = tmp_path / "list.txt"
+    listed.write_text(f"{longest}.tif", encoding="utf-8")
+    with open_recording(recordings / "a.tif") as raw:
+        calibration = raw.calibration
+    assert calibration is not None
+    write_calibration(tmp_path / "rig.json", calibration)
+    result = batch(listed, tmp_path / "out", calibration=tmp_path / "rig.json", mosaic=True)
+    assert not result.failed
+    assert (tmp_path / "out" / longest / "mosaic.ome.tif").exists()
+
+
 @pytest.mark.parametrize(("stage", "own"), [("section", "els.ome.tif"), ("mosaic", "track.csv")])
 def test_a_stage_leaves_what_another_worker_is_writing(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, own: str
@@ -99,7 +116,8 @@ def test_a_stage_leaves_what_another_worker_is_writing(
     item = BatchItem("a", str(recordings / "a.tif"), job)
     open_output(job)
     out = tmp_path / "out"
-    (out / "a").mkdir()
+    for folder in (item.folder, item.records):
+        folder.mkdir()
     for other in ("section", "mosaic"):
         item.record(other).with_name(f".deadbeef.{item.record(other).name}").touch()
     writing = {name: out / "a" / f".deadbeef.{name}" for name in ("els.ome.tif", "mosaic.ome.tif", "track.csv")}
@@ -109,7 +127,7 @@ def test_a_stage_leaves_what_another_worker_is_writing(
     assert not writing[own].exists()
     kept = {"els.ome.tif"} if stage == "mosaic" else {"mosaic.ome.tif", "track.csv"}
     assert {name for name, file in writing.items() if file.exists()} == kept
-    (record,) = (out / RECORDS).glob(".deadbeef.*")
+    (record,) = item.records.glob(".deadbeef.*")
     assert stage not in record.name
 
 

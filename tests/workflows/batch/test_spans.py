@@ -86,7 +86,7 @@ def test_spans_make_the_file_of_a_single_run(
         section(raw, raw.calibration).save(tmp_path / name)
     assert contents(spanned / "a" / name) == contents(whole / "a" / name) == contents(tmp_path / name)
     assert contents(spanned / "contact-sheet.png") == contents(whole / "contact-sheet.png")
-    assert not [*(spanned / RECORDS).glob("*.spans"), *spanned.rglob(".????????.*")]
+    assert not [*(spanned / RECORDS).rglob("spans"), *spanned.rglob(".????????.*")]
 
 
 @pytest.mark.usefixtures("inline")
@@ -110,12 +110,12 @@ def test_a_batch_that_is_killed_anywhere_in_a_recording_makes_no_span_twice(
             with pytest.raises(KeyboardInterrupt):
                 batch(recordings, out, file_format=file_format)
         assert not (out / "table.csv").exists()
-    (out / RECORDS / ".deadbeef.c.spans" / name).mkdir(parents=True)  # of a worker that was killed at once
+    (out / RECORDS / "c" / ".deadbeef.spans" / name).mkdir(parents=True)  # of a worker that was killed at once
     batch(recordings, out, file_format=file_format)
     assert filled == [("a", 0), ("a", 2), ("a", 2), ("c", 0), ("c", 2)]
     for recording in ("a", "c"):
         assert contents(out / recording / name) == contents(whole / recording / name)
-    assert not [*(out / RECORDS).glob("*.spans"), *out.rglob(".????????.*")]
+    assert not [*(out / RECORDS).rglob("spans"), *out.rglob(".????????.*")]
 
 
 @pytest.mark.usefixtures("inline")

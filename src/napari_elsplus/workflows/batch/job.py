@@ -1,7 +1,7 @@
 """The plan of a batch: its recordings, what is made of each, and which stages earlier runs have finished.
 
 A stage's record is written after its outputs were renamed into place, so that a stage with a record is complete. The
-records and the job lie in the folder ``.batch`` of the output.
+job lies in the folder ``.batch`` of the output, the records of each recording in ``.batch/NAME``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 RECORDS: Final = ".batch"
-"""Folder of a batch's records, in its output folder."""
+"""Folder of the job and of the recordings' records, in the output folder of a batch."""
 FORMATS: Final = {"ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr"}
 """Suffix of the files of images and mosaics by the name of their format."""
 MAX_LIST_BYTES: Final = 16 << 20
@@ -107,9 +107,14 @@ class BatchItem:
         return self.folder / "track.csv"
 
     @property
+    def records(self) -> Path:
+        """Folder of what a later run needs of the recording: records of its stages, unfinished images, picture."""
+        return Path(self.job.output, RECORDS, self.name)
+
+    @property
     def tile(self) -> Path:
         """The recording's picture for the contact sheet."""
-        return Path(self.job.output, RECORDS, f"{self.name}.png")
+        return self.records / "tile.png"
 
     def files(self, stage: str) -> tuple[Path, ...]:
         """Return the files that a stage writes."""
@@ -117,7 +122,7 @@ class BatchItem:
 
     def record(self, stage: str) -> Path:
         """Return the path of the record that a stage is finished."""
-        return Path(self.job.output, RECORDS, f"{self.name}.{stage}.json")
+        return self.records / f"{stage}.json"
 
     def recall(self, stage: str) -> Values | None:
         """Return what a stage has found, if an earlier run made its files of the same ones; else None."""

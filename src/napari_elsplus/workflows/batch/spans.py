@@ -1,6 +1,6 @@
 """Spans of a long recording's images: each is a task of its own, and all are written into one unfinished file.
 
-The file lies in a folder ``.batch/NAME.spans``, beside the plan of its spans and a record of each that was written and
+The file lies in a folder ``.batch/NAME/spans``, beside the plan of its spans and a record of each that was written and
 flushed, until the last one is in it and it is renamed into place. A kill at any time costs the spans under way.
 """
 
@@ -9,16 +9,16 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.io import put_in_place, replacing, write_json
 from napari_elsplus.io.atomic import remove_unfinished
-from napari_elsplus.workflows.batch.job import RECORDS, BatchItem, Values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    from napari_elsplus.workflows.batch.job import BatchItem, Values
     from napari_elsplus.workflows.sectioning import SectionedImages
 
 SPAN_IMAGES: Final = 600
@@ -56,7 +56,7 @@ class SpannedImages:
     @property
     def folder(self) -> Path:
         """Folder of the unfinished file, its plan and its records."""
-        return Path(self.item.job.output, RECORDS, f"{self.item.name}.spans")
+        return self.item.records / "spans"
 
     @property
     def file(self) -> Path:

@@ -59,7 +59,8 @@ def run_stage(stage: str, item: BatchItem) -> Values:
     if found is None:
         from napari_elsplus.workflows.batch.stages import STAGES, single_threaded
 
-        item.folder.mkdir(parents=True, exist_ok=True)
+        for folder in (item.folder, item.records):
+            folder.mkdir(parents=True, exist_ok=True)
         remove_unfinished(item.record(stage), item.tile, *item.files(stage))
         with open_recording(item.recording) as recording, single_threaded():
             found = STAGES[stage](item, recording)
