@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
-
-from napari_elsplus.processing.compiled import lean_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,57 +65,20 @@ class SaturatedLight:
         float
             Grey levels per level of it.
         """
-        out, span = np.zeros_like(frame), limit - self._black
+        span = limit - self._black
         most = float(np.iinfo(frame.dtype).max) if frame.dtype.kind in "iu" else MAX_BEYOND * span
         unit = MAX_BEYOND * span / most
-        limits = limit, self._black, _MIN_SEEN * self._level, self._reach, unit, most - 1
-        write_beyond(frame, self._pattern, *limits, np.empty((2, frame.shape[1])), out)
+        unsaturated = frame < limit
+        light = self._around((frame - np.float32(self._black)) * unsaturated)
+        pattern = self._around(self._pattern * unsaturated)
+        at = ~unsaturated
+        estimate = self._pattern[at] * light[at] / np.maximum(pattern[at], _MIN_SEEN * self._level)
+        out = np.zeros_like(frame)
+        out[at] = np.clip((estimate - span) / unit, 0, most - 1) + 0.5
         return out, unit
 
-
-@lean_kernel
-def write_beyond(
-    frame: NDArray[Any], pattern: NDArray[np.float32], limit: float, black: float, least: float, reach: int,
-    unit: float, most: float, sums: NDArray[np.float64], out: NDArray[Any],
-) -> None:  # fmt: skip
-    """Write what the light of saturated pixels exceeds them by, given the pattern of the cores; others are left.
-
-    Parameters
-    ----------
-    frame, out : numpy.ndarray
-        (rows, cols) raw frame, and what is written, of the same type.
-    pattern : numpy.ndarray
-        (rows, cols) float32: light of the background.
-    limit, black : float
-        Grey levels of saturated pixels and without light.
-    least : float
-        Smallest sum of the background's light in the unsaturated pixels that are compared.
-    reach : int
-        Distance of the farthest of these, rows and columns.
-    unit, most : float
-        Grey levels per level of `out`, and the largest of these but for rounding.
-    sums : numpy.ndarray
-        (2, cols) float64, filled: sums over the rows around one.
-    """
-    rows, cols = frame.shape
-    sums[:] = 0.0
-    for row in range(-reach, rows):
-        for r, sign in ((row + reach, 1.0), (row - reach - 1, -1.0)):
-            if 0 <= r < rows:
-                for c in range(cols):
-                    seen = sign * (frame[r, c] < limit)
-                    sums[0, c] += seen * (frame[r, c] - black)
-                    sums[1, c] += seen * pattern[r, c]
-        if row < 0:
-            continue
-        light, seen = sums[0, :reach].sum(), sums[1, :reach].sum()
-        for col in range(cols):
-            if col + reach < cols:
-                light += sums[0, col + reach]
-                seen += sums[1, col + reach]
-            if col > reach:
-                light -= sums[0, col - reach - 1]
-                seen -= sums[1, col - reach - 1]
-            if frame[row, col] >= limit:
-                more = pattern[row, col] * light / max(seen, least) - (limit - black)
-                out[row, col] = min(max(more, 0.0) / unit, most) + 0.5
+    def _around(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the sum over the pixels around each."""
+        size, border = (2 * self._reach + 1,) * 2, cv2.BORDER_CONSTANT
+        sums: NDArray[np.float32] = cv2.boxFilter(image, cv2.CV_32F, size, normalize=False, borderType=border)
+        return sums
