@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, line_offset_px
-from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.methods import TrackingMethod
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Velocity
@@ -66,7 +66,9 @@ class TemplateTracking(TrackingMethod):
         seen = sectioner.seen | ~sectioner.inside
         if mode is not Mode.LS and not seen.all():
             there = cv2.resize(seen.astype(np.float32), (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA) >= 1
-            rectangle = rectangle_within(there | ~lit_pixels(*self.grid.spans(1.0)))
+            # what the frame cuts off lies beyond one row or column, that of the bundle's middle
+            rows, cols = (np.flatnonzero(line[SIDE_PX // 2]).tolist() for line in (there.T, there))
+            rectangle = rows[0], rows[-1] + 1, cols[0], cols[-1] + 1
             self.grid = replace(self.grid, seen=rectangle, line_offset=line_offset_px(calibration) / self.scale)
         self._inside = lit_pixels(*self.grid.spans(FIELD)).astype(np.float32)
         self._median = takes_median(sectioner.diameter_px)

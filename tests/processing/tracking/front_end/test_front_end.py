@@ -173,6 +173,29 @@ def test_views_cut_by_the_frame_are_tracked_on_what_both_show(rows: int) -> None
     assert np.abs(images[1] - images[0])[well_inside].max() < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("edges", "seen"),
+    [
+        (("top",), (22, 234, 2, 234)),
+        (("bottom",), (2, 213, 2, 234)),
+        (("left",), (2, 234, 22, 234)),
+        (("right",), (2, 234, 2, 213)),
+        (("top", "left"), (22, 234, 22, 234)),
+    ],
+)
+def test_only_what_an_edge_cuts_is_left_out(edges: tuple[str, ...], seen: tuple[int, ...]) -> None:
+    """Of a disc that was cut at its side, the rows from the top down to its middle were left out instead."""
+    radius, cut_px, shape, centre = 232, 40, list(SHAPE), LEFT.tolist()
+    for axis, (near, far) in enumerate((("top", "bottom"), ("left", "right"))):
+        if near in edges:
+            centre[axis] -= int(LEFT[axis] - radius) + cut_px
+        if far in edges:
+            shape[axis] = int(LEFT[axis]) + radius - cut_px
+    shift = np.column_stack([np.eye(2), centre - RIGHT]).tolist()
+    record = calibration(confocal_centre=centre, residual_to_confocal=shift)
+    assert FrontEnd(record, (shape[0], shape[1]), Mode.LS).grid.seen == seen
+
+
 def test_half_views_are_refused() -> None:
     with pytest.raises(CalibrationError, match=r"of the bundle's views lie outside of the 240 x 1328 frame"):
         FrontEnd(calibration(), (240, 1328))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
+from scipy.ndimage import affine_transform, uniform_filter
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
@@ -22,7 +23,7 @@ from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
 from napari_elsplus.processing.tracking.front_end.binning import subtract_views, survey
-from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX, Grid, lit_pixels, rectangle_within
+from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX, Grid, lit_pixels
 from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
 from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
 half are registered, and calibration refuses views of which less than 90 % are seen."""
-BACKGROUND_STEPS: Final = 1 << 16
-"""Steps per grey level in which the background is binned; chosen: finer than float32 resolves 255 grey levels."""
 DARK_PERCENTILE: Final = 5.0
 """Of the background's pixels, which lie beside the views; chosen."""
 MAX_SATURATED: Final = 0.25
@@ -89,11 +88,12 @@ class FrontEnd:
         sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
         weights = 0.0 if mode is Mode.RESIDUAL else 1 / q**2, sign / bundle.residual_gain / q**2
         # maps of the views that are read, from camera pixels counted from the grid's corner to those of the frame
-        views = [
-            np.column_stack([view[:, :2], view[:, 2] + view[:, :2] @ grid.origin])
+        self._views = [
+            (np.column_stack([view[:, :2], view[:, 2] + view[:, :2] @ grid.origin]), weight)
             for view, weight in zip((np.eye(3)[:2], to_residual), weights, strict=True)
             if weight
         ]
+        views = [view for view, _ in self._views]
         seen = _seen(grid, views, self._frame_shape)
         subtracts = sign != 0 and mode is not Mode.RESIDUAL
         line_offset = line_offset_px(calibration) / q if subtracts else 0.0
@@ -118,7 +118,7 @@ class FrontEnd:
         self._hot_pixels = HotPixels(calibration.background)
         if calibration.background is not None:
             mended = self._hot_pixels.mended(calibration.background)
-            self._factors = scale, self._binned(mended)
+            self._factors = scale, scale * _smooth(inside * self._binned(mended))
             level = float(calibration.background[self._middle].mean())
             black = float(np.percentile(calibration.background, DARK_PERCENTILE))
             self._dark_level = (level + black) / 2
@@ -181,19 +181,17 @@ class FrontEnd:
         self._fill(confocal, residual, self._scale_alone, more)
         out += np.float32(unit) * more
 
-    def _binned(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the tracking image (n, n) of the background, added byte by byte.
+    def _binned(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return both views of a frame, (n, n), binned and weighted, as the kernel does.
 
-        So the kernel is compiled for frames of bytes only, which takes seconds.
+        By interpolation, since the kernel would have to be compiled for float32, which takes seconds.
         """
-        total, part = np.zeros((2, self.grid.side, self.grid.side), np.float32)
-        for sign in (1, -1):
-            steps = (np.maximum(sign * background, 0) * BACKGROUND_STEPS).astype("<u4")
-            for place in range(4):
-                level = steps.view(np.uint8)[:, place::4]
-                if level.any():
-                    self._fill(level, level, self._factors, part)
-                    total += np.float32(sign * 256**place / BACKGROUND_STEPS) * part
+        side, q = self.grid.side, self.grid.binning
+        half, total = 0.5 * (q - 1), np.zeros((side, side), np.float32)
+        squares = q**2 * uniform_filter(frame, q, np.float64, origin=-(q // 2))  # from their first pixels on
+        for view, weight in self._views:
+            first = view @ (half, half, 1.0) - half
+            total += weight * affine_transform(squares, q * view[:, :2], first, total.shape, order=1)
         return total
 
     def _binned_flat(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -239,21 +237,20 @@ def _seen(
     CalibrationError
         If less than :data:`MIN_SEEN` of the disc's height or width does.
     """
-    rows, cols = np.nonzero(lit_pixels(*grid.spans(1.0)))
-    within, q = np.ones(len(rows), bool), grid.binning
+    lit = np.stack(np.nonzero(lit_pixels(*grid.spans(1.0))))
+    within, q = np.ones(lit.shape, bool), grid.binning
     for view, u, v in itertools.product(views, (0, q - 1), (0, q - 1)):
-        at = np.floor(view @ np.stack([q * rows + u, q * cols + v, np.ones(len(rows))]))
-        within &= ((at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))).all(axis=0)
+        at = np.floor(view @ [*(q * lit + [[u], [v]]), np.ones(lit.shape[1])])
+        within &= (at >= 0) & (at + 2 <= np.reshape(frame_shape, (2, 1)))
     if within.all():
         return None
-    mask = np.ones((grid.side, grid.side), bool)
-    mask[rows, cols] = within
-    top, bottom, left, right = rectangle_within(mask)
-    share = min(bottom - top, right - left) / np.ptp(rows)
+    # rows are lost beyond the first and last row of the frame, columns beyond its sides
+    rows, cols = (np.setdiff1d(lines, lines[~inside]).tolist() for lines, inside in zip(lit, within, strict=True))
+    share = min(len(rows), len(cols)) / np.ptp(lit[0])
     if share < MIN_SEEN:
         raise CalibrationError(
-            f"{100 * max(1 - share, 0.0):.0f} % of the bundle's views lie outside of the "
+            f"{100 * (1 - share):.0f} % of the bundle's views lie outside of the "
             f"{frame_shape[0]} x {frame_shape[1]} frame",
             "record a larger region, or locate the bundle views again",
         )
-    return top, bottom, left, right
+    return rows[0], rows[-1] + 1, cols[0], cols[-1] + 1

@@ -159,42 +159,6 @@ def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.
     return (columns >= first[:, None]) & (columns < last[:, None])
 
 
-def rectangle_within(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return the largest rectangle of seen pixels.
-
-    Parameters
-    ----------
-    seen : numpy.ndarray
-        (rows, cols), bool.
-
-    Returns
-    -------
-    tuple of int
-        First row, row after the last, first column, column after the last; all 0 if no pixel is seen.
-
-    Examples
-    --------
-    >>> seen = np.ones((5, 6), bool)
-    >>> seen[:2, 1:3] = False
-    >>> rectangle_within(seen)
-    (2, 5, 0, 6)
-    """
-    heights = np.zeros(seen.shape[1] + 1, int)
-    best, rectangle = 0, (0, 0, 0, 0)
-    for bottom, row in enumerate(seen, 1):
-        heights[:-1] = np.where(row, heights[:-1] + 1, 0)
-        # Columns of seen pixels that end at this row, and the first column of the widest rectangle as high as each.
-        rising: list[tuple[int, int]] = []
-        for right, height in enumerate(heights.tolist()):
-            left = right
-            while rising and rising[-1][1] >= height:
-                left, tall = rising.pop()
-                if tall * (right - left) > best:
-                    best, rectangle = tall * (right - left), (bottom - tall, bottom, left, right)
-            rising.append((left, height))
-    return rectangle
-
-
 @compilable
 def overlap_of_discs(diameters: float) -> float:
     """Share of a disc that another of its size covers, whose centre lies so many diameters away.
