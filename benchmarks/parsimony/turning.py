@@ -12,6 +12,7 @@ from benchmarks.studies.drift import tracked_live
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import TrackErrors, track_errors
 from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
@@ -123,7 +124,7 @@ def rung_of(walk: Walk) -> MotionModel:
     raw, _, _ = _recorded(walk)
     rig = simulated_rig()
     front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
-    tracker = Tracker(front_end.grid)
+    tracker = Tracker(Registrar(front_end.grid))
     for frame in raw:
         front_end.image(frame, tracker.slot())
         tracker.add()

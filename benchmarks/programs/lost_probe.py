@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.rigs.simulated import StopAndGo, simulated_rig, tissue
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.specimen.trajectories import Straight
 
@@ -41,7 +42,7 @@ def lost_probe(name: str, seed: int) -> None:
     taken_ms, states = [], Counter[tuple[str, str]]()
     for turn in range(PASSES + 1):  # the first compiles
         front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
-        tracker = Tracker(front_end.grid)
+        tracker = Tracker(Registrar(front_end.grid))
         taken_ms.append(np.zeros(len(frames)))
         for number, (piece, frame) in enumerate(frames):
             front_end.image(frame, tracker.slot())

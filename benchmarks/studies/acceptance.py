@@ -20,6 +20,7 @@ from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import WRONG_PX
 from napari_elsplus.simulation.specimen.scenes import fibres, picture
@@ -292,7 +293,7 @@ def change_of_view(looked_at: Scene, places: NDArray[np.float64], grid: Grid, um
 
 def tracked(recording: TruePath, grid: Grid) -> Counts:
     """Track a recording and compare every accepted registration with the truth."""
-    tracker = Tracker(grid)
+    tracker = Tracker(Registrar(grid))
     poses = []
     for image in recording.images:
         tracker.slot()[:] = image

@@ -72,7 +72,7 @@ def our_stages(calibration: Calibration, raw: NDArray[np.uint8]) -> dict[str, fl
 
     def once() -> list[dict[str, float]]:
         front_end = FrontEnd(calibration, (raw.shape[1], raw.shape[2]))
-        tracker, mosaic = Tracker(front_end.grid), Mosaic(front_end.grid)
+        tracker, mosaic = Tracker(Registrar(front_end.grid)), Mosaic(front_end.grid)
         registrar = tracker.registrar = _TimedRegistrar(front_end.grid, clock)
         frames = []
         for frame in raw:

@@ -8,7 +8,7 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, located, without_jolts
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 LINK = PairRegistration(Warp(1.03, -21.0, 0.02, 8.0), np.diag([4e4, 30.0, 5e4, 20.0]) + 1.0, 0.98, 0.9, 40.0)
@@ -45,7 +45,7 @@ def test_a_grid_upside_down_has_the_pixels_of_the_images_upside_down() -> None:
 
 def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
     grid = Grid(116, 2, (0, 0), (57.5, 57.5), 108.0, RollingShutter(150.0))
-    tracker, dark = Tracker(grid), np.zeros((116, 116), np.float32)
+    tracker, dark = Tracker(Registrar(grid)), np.zeros((116, 116), np.float32)
     poses = []
     for _ in range(4):
         tracker.slot()[:] = dark
@@ -56,7 +56,7 @@ def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
 
 def forwards(row: Row, seed: int) -> tuple[TruePath, Tracker, list[Pose]]:
     """Return a recording of the acceptance study, the tracker that has seen all of it, and the poses."""
-    recording, tracker, poses = recorded(row, seed=seed), Tracker(grid_of(row)), []
+    recording, tracker, poses = recorded(row, seed=seed), Tracker(Registrar(grid_of(row))), []
     for image in recording.images:
         tracker.slot()[:] = image
         poses.append(tracker.add())

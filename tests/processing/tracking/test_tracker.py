@@ -117,7 +117,7 @@ def test_a_start_is_confirmed_by_frames_that_correlate_as_its_own(correlation: f
     """What follows a first registration correlates about as well, as what follows any other does."""
     grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
     low, high = (7.0, 0.99), (40.0, correlation)
-    tracker = Tracker(grid, Scripted(grid, [low, low, None, high, None]))
+    tracker = Tracker(Scripted(grid, [low, low, None, high, None]))
     poses = [tracker.add() for _ in range(3)]
     assert poses[2].state is state
     assert len(tracker.links) == (2 if state is TrackingState.TRACKED else 0)
@@ -127,7 +127,7 @@ def test_high_passed_frames_are_not_expected_to_correlate_as_well_as_frames_as_t
     """Hazy tissue at the limit of both was lost wherever it went from the one to the other: 17 of 50 frames tracked."""
     grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
     whole, high_passed, unlike = (40.0, 0.994, 0.92), (40.0, 0.80, 0.91), (40.0, 0.80, 0.84)
-    tracker = Tracker(grid, Scripted(grid, [whole, whole, high_passed, whole, high_passed, unlike, None]))
+    tracker = Tracker(Scripted(grid, [whole, whole, high_passed, whole, high_passed, unlike, None]))
     states = [tracker.add().state for _ in range(7)]
     assert states[:6] == [TrackingState.TRACKED] * 6
     assert states[6] is not TrackingState.TRACKED
@@ -137,7 +137,7 @@ def test_the_first_high_passed_frames_are_expected_to_be_as_alike_as_those_befor
     """None had been registered before, so any were accepted: of rich tissue with jolts 6 of 652 were wrong."""
     grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
     whole, unlike = (40.0, 0.994, 0.92), (40.0, 0.80, 0.84)
-    tracker = Tracker(grid, Scripted(grid, [whole, whole, unlike, None]))
+    tracker = Tracker(Scripted(grid, [whole, whole, unlike, None]))
     states = [tracker.add().state for _ in range(4)]
     assert states == [TrackingState.TRACKED] * 3 + [TrackingState.PREDICTED]
 
@@ -145,7 +145,7 @@ def test_the_first_high_passed_frames_are_expected_to_be_as_alike_as_those_befor
 def standing(found: list[tuple[float, float] | None], frames: int) -> tuple[list[int], list[int]]:
     """Frames whose registration stands, and those that are tracked in the end, of a tracker with scripted searches."""
     grid = Grid(116, 1, (0, 0), (57.5, 57.5), 112.0, RollingShutter(150.0))
-    tracker = Tracker(grid, Scripted(grid, found))
+    tracker = Tracker(Scripted(grid, found))
     poses = [tracker.add() for _ in range(frames)]
     links = borne_out(poses, tracker.links)
     tracked = [k for k, pose in enumerate(settle(poses, links)) if pose.state is TrackingState.TRACKED]

@@ -66,10 +66,10 @@ def completed(
     shutter = tracker.grid.shutter
     links = borne_out(poses, tracker.links)
     result = located(poses, links, shutter)
-    grid, registrar = tracker.grid.upside_down(), Registrar(tracker.registrar.grid.upside_down())
+    registrar = Registrar(tracker.grid.upside_down())
     registrar.fall_of_correlation = FALL_OF_CORRELATION
     for begin, end in _stretches(result):
-        again, backwards = Tracker(grid, registrar, tracker.turn_rate), []
+        again, backwards = Tracker(registrar, tracker.turn_rate), []
         for frame in range(end - 1, begin - 1, -1):
             again.slot()[:] = image(frame)[::-1]
             backwards.append(again.add())
@@ -78,7 +78,7 @@ def completed(
         ahead = {end - 1 - k: pose for k, pose in enumerate(located(backwards, found, shutter))}
         added = [_forwards(link, end - 1) for link in found]
         links += _joined(result, {k: pose for k, pose in ahead.items() if pose.state is TrackingState.TRACKED}, added)
-    if FIELD * grid.diameter > JOLTED_READ * shutter.line_periods_per_frame:
+    if FIELD * registrar.grid.diameter > JOLTED_READ * shutter.line_periods_per_frame:
         links = without_jolts(links)
     return settle(result, links), links
 

@@ -170,7 +170,7 @@ class RegistrationTracking(FrontEndImages):
         registrar: Callable[[Grid], Registrar] = Registrar,
     ) -> None:  # fmt: skip
         super().__init__(calibration, frame_shape, mode)
-        self._tracker = Tracker(self.grid, registrar(self._front_end.sectioned))
+        self._tracker = Tracker(registrar(self._front_end.sectioned))
 
     def track(self, raw: NDArray[Any], raw_residual: NDArray[Any]) -> tuple[Pose, NDArray[np.float32]]:
         """See :meth:`TrackingMethod.track`."""
@@ -220,7 +220,7 @@ class RegistrationTracking(FrontEndImages):
             model = reviewed_model(tracker.links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
             rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
-            lost, tracker = tracker.lost, Tracker(registrar.grid, registrar, next(rates, 0.0))
+            lost, tracker = tracker.lost, Tracker(registrar, next(rates, 0.0))
             for index in range(len(poses)):
                 tracker.skip(lost.get(index, 0))
                 tracker.slot()[:] = image(index)

@@ -23,8 +23,6 @@ from napari_elsplus.processing.tracking.registration.motion_models import ModelS
 from napari_elsplus.processing.tracking.registration.pair_registration import (
     MIN_ODDS_NATS,
     PairRegistration,
-    PreparedFrame,
-    Registrar,
     TrackedPair,
     Turn,
 )
@@ -32,8 +30,8 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+    from napari_elsplus.processing.tracking.registration.pair_registration import PreparedFrame, Registrar
 
 KEY_FRAME_REACH: Final = 0.1
 """Displacement from the key frame, in bundle diameters, at which it is renewed."""
@@ -82,10 +80,8 @@ class Tracker:
 
     Parameters
     ----------
-    grid : Grid
-        The grid of the images, with the timing of its rows.
-    registrar : Registrar, optional
-        Registers two frames on that grid.
+    registrar : Registrar
+        Registers two frames.
     turn_rate : float, optional
         Rotation of the probe at first, radians per frame, if it is modelled from the first frame on.
 
@@ -97,11 +93,10 @@ class Tracker:
         How many frames were lost before some, by the count of those that were added.
     """
 
-    def __init__(self, grid: Grid, registrar: Registrar | None = None, turn_rate: float | None = None) -> None:
-        self.grid = grid
-        self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * grid.diameter
-        self._middle_px2 = (FIELD * grid.diameter / 4) ** 2
-        self.registrar = registrar or Registrar(grid)
+    def __init__(self, registrar: Registrar, turn_rate: float | None = None) -> None:
+        self.registrar, self.grid = registrar, registrar.grid
+        self._max_displacement_px = MAX_DISPLACEMENT_DIAMETERS * self.grid.diameter
+        self._middle_px2 = (FIELD * self.grid.diameter / 4) ** 2
         self.links: list[TrackedPair] = []
         self.lost: dict[int, int] = {}
         self._slots = [self.registrar.view() for _ in range(4)]
@@ -110,7 +105,7 @@ class Tracker:
         self._tested = self._began = self._covered = 0
         self._turned = 0.0
         self._turning = Turning(turn_rate or 0.0)
-        self._motion = Motion(grid.shutter, FIELD * grid.diameter)
+        self._motion = Motion(self.grid.shutter, FIELD * self.grid.diameter)
         self._key = self._last = self._previous = _Placed(self._slots[0])
         self._usual, self._variance, self._fell = nan, 0.0, False
         self._start: _Start | None = None
@@ -214,7 +209,7 @@ class Tracker:
 
     def _start_at(self, previous: _Placed, here: _Placed) -> Pose | None:
         """Begin a segment under the widest prior; where the odds do not suffice the registration waits for the next."""
-        self._motion, self._turning = self._unknown_motion(), Turning(self._turning.rate, self._turning.surprise)
+        self._motion, self._turning = self._motion.forgotten(), Turning(self._turning.rate, self._turning.surprise)
         self._key = self._last = origin = _Placed(previous.view, previous.index, previous.period)
         motion = self._widest(here.period - previous.period)
         waits = self.model is MotionModel.TRANSLATION
@@ -244,13 +239,9 @@ class Tracker:
         self.links.insert(-1, start.found)
         return self._begin(here, link)
 
-    def _unknown_motion(self) -> Motion:
-        """Return the motion of a probe of which only is known how unpredictable it has been so far."""
-        return Motion(self.grid.shutter, FIELD * self.grid.diameter, self._motion.surprise)
-
     def _widest(self, periods: int) -> MotionPrior:
         """Return the prior of the motion between frames so many periods apart where no velocity is known."""
-        return self._unknown_motion().prior(Displacement(0.0, 0.0), periods)
+        return self._motion.forgotten().prior(Displacement(0.0, 0.0), periods)
 
     def _begin(self, here: _Placed, link: PairRegistration) -> Pose:
         """Begin a segment with a frame that was placed."""
@@ -280,7 +271,8 @@ class Tracker:
         if link is None or last is key or last.period - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.period
-        found = self.registrar.remainder(key.view, last.view, link.warp, self._motion.spread_of_stretch)
+        spread = self._motion.prior(self._motion.ahead(1), 1).spread
+        found = self.registrar.remainder(key.view, last.view, link.warp, spread)
         if found is None:
             return
         apart, turn = last.period - key.period, -float(found.step[-1])

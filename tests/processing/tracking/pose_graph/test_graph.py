@@ -40,7 +40,7 @@ def spoilt(pose: Pose, frame: int) -> Pose:
 @pytest.mark.parametrize("lifted", [False, True], ids=["one segment", "two segments"])
 def test_nodes_that_see_a_place_again_tell_where_all_of_them_belong(lifted: bool) -> None:
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
-    tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
+    tracker, trail = Tracker(Registrar(front_end.grid)), KeyframeSelector(front_end.grid)
     registrar, views, images = Registrar(front_end.grid), {}, {}
     graph = PoseGraph(NodeRegistration(registrar), views.__getitem__)
     found: list[tuple[int, Pose]] = []
@@ -130,7 +130,7 @@ def test_segments_that_nothing_is_known_of_stay_where_they_are() -> None:
 
 def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
-    tracker, trail = Tracker(grid), KeyframeSelector(grid)
+    tracker, trail = Tracker(Registrar(grid)), KeyframeSelector(grid)
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
     nodes: list[Node] = []
     for k, frame in enumerate(truth().frames):
@@ -147,7 +147,7 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
 def test_frames_that_begin_segments_are_joined_only_if_they_correlate_as_they_do_within_theirs() -> None:
     """Before: they had no correlation to compare with, and two of 0.54 over a lattice joined places 388 px apart."""
     front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
-    tracker, trail = Tracker(front_end.grid), KeyframeSelector(front_end.grid)
+    tracker, trail = Tracker(Registrar(front_end.grid)), KeyframeSelector(front_end.grid)
     nodes: list[Node] = []
     for k, frame in enumerate(truth().frames[:2]):
         front_end.image(frame, tracker.slot())

@@ -52,7 +52,7 @@ class FinishedTracking(TrackingMethod):
         self.grid = field.grid
         self._field = field
         self._registrar = FinishedRegistrar(field)
-        self._tracker = Tracker(self._registrar.grid, self._registrar)
+        self._tracker = Tracker(self._registrar)
         self._inside = lit_pixels(*self.grid.spans(FIELD - 2 / self.grid.diameter))
         self._previous = np.zeros((self.grid.side,) * 2, np.float32)
         self._poses: list[Pose] = []

@@ -6,6 +6,7 @@ camera pixels are exact integers, which are converted to float32 once for each p
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from napari_elsplus.processing.compiled import build_prefetch
 from napari_elsplus.processing.vectors import FLOAT, Vectors, data_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -34,7 +35,7 @@ _PLACE: Final = ir.IntType(64)
 
 
 class _Camera:
-    """Sums of a row of camera pixels, in instructions for one kind of them.
+    """Sums of a row of camera pixels, in instructions for one kind of them; `less` is the difference of two sums.
 
     Parameters
     ----------
@@ -47,24 +48,17 @@ class _Camera:
     """
 
     def __init__(self, builder: Any, kind: Any, binning: int) -> None:
-        self._builder, self._kind, self._binning = builder, kind, binning
+        self._builder, self._bits, self._binning = builder, kind.bitwidth, binning
         self._vectors = Vectors(builder, BLOCK)
         self._exact: Any = None
         """Integers that hold the sum of a square; None where pixels, and so sums, are float32."""
         if isinstance(kind, types.Integer):
-            self._exact = ir.IntType(16 if binning**2 << _bits(kind) < 2**15 else 32)
+            self._exact = ir.IntType(16 if binning**2 << self._bits < 2**15 else 32)
+        self._add, self.less = (builder.add, builder.sub) if self._exact else (builder.fadd, builder.fsub)
 
-    def added(self, numbers: Sequence[Any]) -> Any:
+    def added(self, numbers: Iterable[Any]) -> Any:
         """Return the sum of vectors of pixels."""
-        add = self._builder.add if self._exact else self._builder.fadd
-        total = numbers[0]
-        for number in numbers[1:]:
-            total = add(total, number)
-        return total
-
-    def less(self, a: Any, b: Any) -> Any:
-        """Return the difference of two sums."""
-        return self._builder.sub(a, b) if self._exact else self._builder.fsub(a, b)
+        return reduce(self._add, numbers)
 
     def real(self, total: Any) -> Any:
         """Return a sum or difference as float32."""
@@ -74,8 +68,8 @@ class _Camera:
         """Return the first, second, ... camera pixel of each pixel of the grid, from an element of a frame on."""
         many = ir.VectorType(data.type.pointee, self._binning * BLOCK)
         place = self._builder.bitcast(self._builder.gep(data, [element]), many.as_pointer())
-        pixels = self._builder.load(place, align=_bits(self._kind) // 8)
-        if self._exact and self._exact.width == self._binning * _bits(self._kind):
+        pixels = self._builder.load(place, align=self._bits // 8)
+        if self._exact and self._exact.width == self._binning * self._bits:
             return self._parts(self._builder.bitcast(pixels, self._vectors.of(self._exact)))
         every = range(0, self._binning * BLOCK, self._binning)
         chosen = [self._vectors.chosen(pixels, pixels, [first + k for k in every]) for first in range(self._binning)]
@@ -83,16 +77,12 @@ class _Camera:
 
     def _parts(self, together: Any) -> list[Any]:
         """Return the first, second, ... of the pixels that are one integer together, its lowest bits first."""
-        width, numbers = _bits(self._kind), self._vectors.of(self._exact)
+        width, numbers = self._bits, self._vectors.of(self._exact)
         mask = ir.Constant(numbers, [2**width - 1] * BLOCK)
         shifted = (
             self._builder.lshr(together, ir.Constant(numbers, [k * width] * BLOCK)) for k in range(self._binning)
         )
         return [self._builder.and_(part, mask) for part in shifted]
-
-
-def _bits(kind: Any) -> int:
-    return int(kind.bitwidth)
 
 
 def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

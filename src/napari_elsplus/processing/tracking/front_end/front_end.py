@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
 
-    Factors = tuple[NDArray[np.float32], NDArray[np.float32]]
-
 MIN_SEEN: Final = 0.5
 """Part of the disc's height and width that the frame must contain in both views; chosen: two frames that overlap by
 half are registered, and calibration refuses views of which less than 90 % are seen."""
@@ -82,11 +80,10 @@ class FrontEnd:
         grid = Grid.of(calibration, diameter_px)
         require_frame_shape(calibration, frame_shape)
         self._frame_shape = (int(frame_shape[0]), int(frame_shape[1]))
-        assert calibration.bundle is not None
-        bundle, q = calibration.bundle, grid.binning
+        bundle, q, subtracts = calibration.measured_bundle, grid.binning, mode in (Mode.ELS, Mode.ELSA)
         to_residual = np.linalg.inv(np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)]))[:2]
-        sign = {Mode.LS: 0.0, Mode.RESIDUAL: 1.0, Mode.ELS: -1.0, Mode.ELSA: -1.0}[mode]
-        weights = 0.0 if mode is Mode.RESIDUAL else 1 / q**2, sign / bundle.residual_gain / q**2
+        of_confocal, of_residual = {Mode.LS: (1.0, 0.0), Mode.RESIDUAL: (0.0, 1.0)}.get(mode, (1.0, -1.0))
+        weights = of_confocal / q**2, of_residual / bundle.residual_gain / q**2
         # maps of the views that are read, from camera pixels counted from the grid's corner to those of the frame
         self._views = [
             (np.column_stack([view[:, :2], view[:, 2] + view[:, :2] @ grid.origin]), weight)
@@ -95,34 +92,28 @@ class FrontEnd:
         ]
         views = [view for view, _ in self._views]
         seen = _seen(grid, views, self._frame_shape)
-        subtracts = sign != 0 and mode is not Mode.RESIDUAL
-        line_offset = line_offset_px(calibration) / q if subtracts else 0.0
-        if seen is not None:
-            grid = replace(grid, seen=seen, line_offset=line_offset)
         # where the line has left the bundle while the residual is read haze is left, which stands still
-        self.grid, self.sectioned = grid, replace(grid, line_offset=line_offset)
-        self.lit = grid.spans(1.0)
+        self.sectioned = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
+        self.grid = grid if seen is None else self.sectioned
+        lit = self.grid.spans(1.0)
         # a view of weight zero is taken from where the other one lies
-        self._blocks = view_blocks(views[0], views[-1], q, self.lit, self._frame_shape)
-        reach = grid.side * q
-        self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
-        self._dark_level, self._saturated = -np.inf, None
+        self._blocks = view_blocks(views[0], views[-1], q, lit, self._frame_shape)
         self._weights = (np.float32(weights[0]), np.float32(weights[1]))
         self._scratch = scratch(grid.side)
-        inside = lit_pixels(*self.lit).astype(np.float32)
+        reach = grid.side * q
+        self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
+        inside = lit_pixels(*lit).astype(np.float32)
         light = _smooth(inside)
         if calibration.flat is not None:
             light = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * light)
-        scale = np.divide(inside, light, out=np.zeros_like(inside), where=inside > 0)
-        self._factors = self._scale_alone = scale, np.zeros_like(scale)
-        self._hot_pixels = HotPixels(calibration.background)
-        if calibration.background is not None:
-            mended = self._hot_pixels.mended(calibration.background)
-            self._factors = scale, scale * _smooth(inside * self._binned(mended))
-            level = float(calibration.background[self._middle].mean())
-            black = float(np.percentile(calibration.background, DARK_PERCENTILE))
-            self._dark_level = (level + black) / 2
-            self._saturated = SaturatedLight(mended, black, level, q + 2)
+        self._scale = np.divide(inside, light, out=np.zeros_like(light), where=inside > 0)
+        background = np.zeros(frame_shape, np.float32) if calibration.background is None else calibration.background
+        self._hot_pixels = HotPixels(background)
+        mended = self._hot_pixels.mended(background)
+        self._offset = self._scale * _smooth(inside * self._binned(mended))
+        black, level = float(np.percentile(background, DARK_PERCENTILE)), float(background[self._middle].mean())
+        self._dark_level = (level + black) / 2
+        self._saturated = SaturatedLight(mended, black, level, q + 2)
 
     def image(
         self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
@@ -155,30 +146,31 @@ class FrontEnd:
         part = _readable(raw)[self._middle]
         limit = saturation_level(part)
         level, saturated, even = survey(part, limit)
-        seen = self._saturated is not None and self._saturated.known(limit)
+        seen = self._saturated.known(limit)
         if even or level < self._dark_level or saturated > (MAX_SATURATED_SEEN if seen else MAX_SATURATED):
             out[:] = 0
             return out
         raw = self._hot_pixels.mended(raw)
         raw_residual = raw if raw_residual is None else self._hot_pixels.mended(raw_residual)
-        self._fill(raw, raw_residual, self._factors, out)
+        self._fill(raw, raw_residual, self._offset, out)
         if seen and saturated > MAX_SATURATED_PIXELS:
             self._add_beyond(raw, raw_residual, limit, out)
         return out
 
-    def _fill(self, raw: NDArray[Any], raw_residual: NDArray[Any], factors: Factors, out: NDArray[np.float32]) -> None:
+    def _fill(
+        self, raw: NDArray[Any], raw_residual: NDArray[Any], offset: NDArray[np.float32], out: NDArray[np.float32]
+    ) -> None:
         frames, pixels = (_readable(raw), _readable(raw_residual)), tuple(range(self.grid.binning))
-        subtract_views(*frames, pixels, self._blocks, self._weights, *factors, self._scratch, out)
+        subtract_views(*frames, pixels, self._blocks, self._weights, self._scale, offset, self._scratch, out)
 
     def _add_beyond(
         self, raw: NDArray[Any], raw_residual: NDArray[Any], limit: float, out: NDArray[np.float32]
     ) -> None:
         """Add the light that saturated pixels did not show."""
-        assert self._saturated is not None
         confocal, unit = self._saturated.beyond(_readable(raw), limit)
         residual = confocal if raw_residual is raw else self._saturated.beyond(_readable(raw_residual), limit)[0]
         more = np.empty_like(out)
-        self._fill(confocal, residual, self._scale_alone, more)
+        self._fill(confocal, residual, np.zeros_like(out), more)
         out += np.float32(unit) * more
 
     def _binned(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -86,9 +86,7 @@ class Grid:
             Diameter of the bundle on the grid that is aimed at; the binning is a whole number. The diameter becomes
             smaller where the flat field shows that cores are few.
         """
-        calibration.require("bundle")
-        assert calibration.bundle is not None
-        bundle = calibration.bundle
+        bundle = calibration.measured_bundle
         binning = max(1, round(bundle.diameter_px / diameter_px))
         if (flat := calibration.flat) is not None:
             spacing_px = core_spacing_px(flat, disc(len(flat), _CORE_FIELD * bundle.diameter_px)) or 0.0

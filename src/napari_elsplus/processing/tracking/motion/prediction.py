@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, terms_of
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Motion:
     """
 
     def __init__(self, shutter: RollingShutter, diameter: float, surprise: float | None = None) -> None:
-        self._shutter = shutter
+        self._shutter, self._diameter = shutter, diameter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self._jerk = sqrt(_JERK_VARIANCE / self._read) if self._read else 0.0
         self._unevenness = sqrt(_UNEVEN) * self._read**2
@@ -94,6 +94,10 @@ class Motion:
         self.velocity = self.next_velocity = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
         self.surprise = _FIRST_SURPRISE / (self._read or _UNKNOWN_READ) if surprise is None else surprise
+
+    def forgotten(self) -> Motion:
+        """Return the motion of a probe of which only is known how unpredictable it has been so far."""
+        return Motion(self._shutter, self._diameter, self.surprise)
 
     def follow(self, velocity: Velocity, variance: float, *, successive: bool) -> None:
         """Add the velocity of a registered frame.
@@ -170,12 +174,6 @@ class Motion:
     def spread(self) -> float:
         """Standard deviation of the next velocity about what is expected."""
         return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
-
-    @property
-    def spread_of_stretch(self) -> float:
-        """Standard deviation of stretch, and of shear, between successive frames, given the shift."""
-        covariance = _of_random_walk(self.variance, self.spread**2, 1, None)
-        return float(terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5)
 
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last registered frame to one so many frames later."""
