@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
@@ -56,20 +57,19 @@ def estimate_line_periods_per_frame(
     runs = [k for k in warps if k - 1 in warps and k + 1 in warps]
     if len(runs) < _FEWEST:
         return None
-    inverse, sigma = 1 / assumed.line_periods_per_frame, np.inf
-    for _ in range(_ROUNDS):
-        shutter = RollingShutter(1 / inverse)
-        gained, bent = _gains(warps, runs, shutter)
-        weight = np.ones(len(gained))
-        for _ in range(_ROUNDS):
-            inverse = float((weight * gained * bent).sum() / (weight * gained * gained).sum())
-            miss = bent - inverse * gained
-            scale = float(robust_sigma(miss)) + 1e-12
-            weight = 1 / (1 + (miss / (3 * scale)) ** 2)
-        sigma = scale / float(np.sqrt((gained * gained).sum()))
-        if not inverse > sigma / _TRUSTED:
-            return None
-    return LinePeriodsPerFrame(1 / inverse, sigma / inverse**2)
+
+    def misfit(inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+        gained, bent = _gains(warps, runs, RollingShutter(1 / inverse.item()))
+        return bent - inverse * gained
+
+    inverse = np.array([1 / assumed.line_periods_per_frame])
+    for _ in range(_ROUNDS):  # outliers are judged by the scatter about the last solution
+        scale = float(robust_sigma(misfit(inverse))) + 1e-12
+        inverse = least_squares(misfit, inverse, bounds=(0, np.inf), loss="cauchy", f_scale=3 * scale).x
+    rows = 1 / inverse.item()
+    gained, _ = _gains(warps, runs, RollingShutter(rows))
+    sigma = rows**2 * scale / float(np.linalg.norm(gained))
+    return LinePeriodsPerFrame(rows, sigma) if sigma < _TRUSTED * rows else None
 
 
 def _gains(
