@@ -74,16 +74,17 @@ class RegisteredMethod:
     tapers_rim: bool = True
 
 
-_METHODS: Final[dict[str, RegisteredMethod]] = {
-    Method.ELSPLUS.value: RegisteredMethod(
+_BUILT_IN: Final = (
+    RegisteredMethod(
         Method.ELSPLUS.value, RegistrationTracking, "sub-pixel, rolling shutter corrected, loops closed",
         closes_loops=True,
     ),
-    Method.PAPER.value: RegisteredMethod(
-        Method.PAPER.value, TemplateTracking, "the paper's template matching",
-        lambda _: (SIDE_PX - TEMPLATE_PX) / 2,        corrects_rolling_shutter=False, tapers_rim=False,
+    RegisteredMethod(
+        Method.PAPER.value, TemplateTracking, "the paper's template matching", lambda _: (SIDE_PX - TEMPLATE_PX) / 2,
+        corrects_rolling_shutter=False, tapers_rim=False,
     ),
-}  # fmt: skip
+)  # fmt: skip
+_METHODS: Final = {method.name: method for method in _BUILT_IN}
 
 
 def register_tracking_method(

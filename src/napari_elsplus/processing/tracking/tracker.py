@@ -190,9 +190,7 @@ class Tracker:
             return None
         motion = self._prior(key, here, ahead)
         link = self._link(key, here, motion)
-        if link is None:
-            return None
-        return self._track(here, link) if self._place(key, here, link, motion) else None
+        return self._track(here, link) if link is not None and self._place(key, here, link, motion) else None
 
     def _restart(self, here: _Placed) -> Pose | None:
         """Begin a segment with a frame once it can be registered to the one before, which itself has no place."""
@@ -305,7 +303,8 @@ class Tracker:
         """Register two frames, first at the expected shift, else over all; None if no shift is accepted."""
         turn = None if self.model is MotionModel.TRANSLATION else self._expected_turn(earlier, here)
         first = turn is None and not self._motion.known and self.registrar.registers_warps
-        least = self._min_correlation
+        # correlation at half resolution that is needed: somewhat less than the usual one
+        least = 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
         for anywhere in (False, True) if self._motion.known and self.registrar.registers_warps else (True,):
             link = self.registrar.register(earlier.view, here.view, motion, least, anywhere=anywhere, turn=turn)
             if first and link is not None and link.at_half < least:  # unrelated, or turned: the rest costs more
@@ -342,11 +341,6 @@ class Tracker:
         gap, apart = here.period - last.period, here.period - earlier.period
         return Turn(last.angle - earlier.angle + rate * gap, self._turning.spread(gap), apart)
 
-    @property
-    def _min_correlation(self) -> float:
-        """Correlation at half resolution that is needed: somewhat less than the usual one; 0 before the first."""
-        return 0.0 if isnan(self._usual) else self._usual - self.registrar.fall_of_correlation
-
     def _place(self, earlier: _Placed, here: _Placed, link: PairRegistration, motion: MotionPrior) -> bool:
         """Set a frame's pose, follow its motion; return False if the probe moved too unevenly within the frames."""
         shutter, expected = self.grid.shutter, motion.displacement
@@ -356,16 +350,16 @@ class Tracker:
         lost = gap - (here.index - self._last.index)
         missed_px = hypot(moved.row - expected.row, moved.col - expected.col) / (1 + lost)
         jerk_sigma = self._motion.jerk_sigma(link.velocity, link.warp, missed_px)
-        uneven_px = self._motion.uneven_px(jerk_sigma)
+        uneven_px = self._motion.unevenness * jerk_sigma
         if uneven_px > _UNEVEN_PX and self.registrar.registers_warps and self.model is MotionModel.TRANSLATION:
             evened = self.registrar.evened(earlier.view, here.view, motion, link, jerk_sigma)
             if evened is None:
                 return False
             link, uneven_px = evened, self._motion.left_uneven_px(jerk_sigma, missed_px)
             moved = shutter.displacement(link.warp, link.velocity)
-        after, here.velocity_variance = link.velocity, link.velocity_variance
+        here.velocity, here.velocity_variance = link.velocity, link.velocity_variance
         by_velocity = hypot(link.warp.b, link.warp.d) / shutter.line_periods_per_frame
-        here.angle, here.velocity = earlier.angle + link.turn, after
+        here.angle = earlier.angle + link.turn
         turned = here.angle - self._last.angle
         if self.model is not MotionModel.TRANSLATION:
             # a turn within a frame displaces its middle: where it sets in, that of one frame alone
@@ -374,7 +368,7 @@ class Tracker:
         if here.sigma > self.registrar.max_sigma_px:
             return False
         if not self._motion.known:
-            earlier.velocity, earlier.velocity_variance = after, here.velocity_variance
+            earlier.velocity, earlier.velocity_variance = here.velocity, here.velocity_variance
         here.at = earlier.at + rect(1, here.angle) * complex(*moved)
         if self.model is not MotionModel.TRANSLATION:
             self._turning.follow(turned, gap, link.turn_sigma)

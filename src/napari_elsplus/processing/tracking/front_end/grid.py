@@ -135,20 +135,16 @@ class Grid:
         field : float
             Part of the diameter.
         """
-        side, (row, col) = self.side, self.centre
-        radius, rows = 0.5 * field * self.diameter, np.arange(side)
-        y = rows - row
-        half = np.sqrt(np.maximum(radius**2 - y**2, 0))
-        top, bottom, left, right = self.seen or (0, side, 0, side)
-        lit = (np.abs(y) < radius) & (rows >= top) & (rows < bottom)
+        side, (row, col), radius = self.side, self.centre, 0.5 * self.diameter
+        y, (top, bottom, left, right) = np.arange(side) - row, self.seen or (0, side, 0, side)
+        square = (field * radius) ** 2 - y**2
         if self.line_offset:
-            reach, y_line = 0.5 * LINE_FIELD * self.diameter, y + self.line_offset
-            half = np.minimum(half, np.sqrt(np.maximum(reach**2 - y_line**2, 0)))
-            lit &= np.abs(y_line) < reach
-        first = np.where(lit, np.maximum(np.ceil(col - half), left), 0)
-        last = np.where(lit, np.minimum(np.floor(col + half) + 1, right), 0)
-        inside = np.clip(first, 1, side - 1), np.clip(last, 1, side - 1)
-        return inside[0].astype(np.int32), np.maximum(inside[0], inside[1]).astype(np.int32)
+            square = np.minimum(square, (LINE_FIELD * radius) ** 2 - (y + self.line_offset) ** 2)
+        square[:top] = square[bottom:] = 0
+        half = np.sqrt(np.maximum(square, 0))
+        first = np.clip(np.ceil(col - half), max(left, 1), side - 1)
+        last = np.where(square > 0, np.minimum(np.floor(col + half) + 1, min(right, side - 1)), 0)
+        return first.astype(np.int32), np.maximum(first, last).astype(np.int32)
 
 
 def lit_pixels(first: NDArray[np.int32], last: NDArray[np.int32]) -> NDArray[np.bool_]:

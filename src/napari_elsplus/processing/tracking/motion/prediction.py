@@ -74,6 +74,9 @@ class Motion:
         Of that velocity.
     surprise : float
         Mean distance of recent velocities from those expected.
+    unevenness : float
+        Standard deviation of a displacement, pixels, over that of the change of acceleration (:meth:`jerk_sigma`): the
+        rolling shutter's warp is exact for even motion within each frame, and under a steady acceleration.
 
     Examples
     --------
@@ -89,7 +92,7 @@ class Motion:
         self._shutter, self._diameter = shutter, diameter
         self._read = min(diameter / shutter.line_periods_per_frame, 1.0)
         self._jerk = sqrt(_JERK_VARIANCE / self._read) if self._read else 0.0
-        self._unevenness = sqrt(_UNEVEN) * self._read**2
+        self.unevenness = sqrt(_UNEVEN) * self._read**2
         self.known = False
         self.velocity = self.next_velocity = AT_REST
         self.variance = (FIRST_SPEED * diameter) ** 2
@@ -145,20 +148,8 @@ class Motion:
             change = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
         return self._jerk * max(_SPREAD_OF_SURPRISE * change, self.spread)
 
-    def uneven_px(self, jerk_sigma: float) -> float:
-        """Return the standard deviation of a displacement because the probe moved unevenly within the frames, pixels.
-
-        The rolling shutter's warp is exact for even motion within each frame, and stays so under a steady acceleration.
-
-        Parameters
-        ----------
-        jerk_sigma : float
-            From :meth:`jerk_sigma`.
-        """
-        return self._unevenness * jerk_sigma
-
     def left_uneven_px(self, jerk_sigma: float, missed_px: float) -> float:
-        """Return what of that remains where the change of the acceleration is estimated from the frames, pixels.
+        """Return what :attr:`unevenness` leaves where the change of acceleration is estimated from the frames, pixels.
 
         A jolt is more than that: after it neither the velocity nor the acceleration is known.
 

@@ -29,6 +29,8 @@ HIGH_PASS_PX: Final = 8.0
 """Standard deviation of the Gaussian whose result is subtracted from images, pixels of full resolution."""
 _REACH: Final = 5
 """Pixels of quarter resolution to which it extends: two and a half standard deviations."""
+_TAPS: Final = tuple(cv2.getGaussianKernel(2 * _REACH + 1, HIGH_PASS_PX / 2 ** (LEVELS - 1), cv2.CV_32F)[_REACH:, 0])
+"""The Gaussian: its middle, and one side."""
 _WHOLE_PX: Final = 16
 """Pixels of a vector: loops over a multiple of it have no remainder, for which pixels are added one by one."""
 
@@ -65,8 +67,6 @@ class Pyramid(NamedTuple):
     ----------
     lit : tuple of numpy.ndarray
         At each level (n, n) bool: the lit pixels.
-    taps : tuple of numpy.float32
-        Gaussian: its middle, and one side.
     inverse : numpy.ndarray
         (n, m) float32 at quarter resolution: reciprocal of the lit part under the Gaussian.
     padded, blurred, coarse : numpy.ndarray
@@ -78,7 +78,6 @@ class Pyramid(NamedTuple):
     """
 
     lit: tuple[NDArray[np.bool_], ...]
-    taps: tuple[np.float32, ...]
     inverse: Image
     padded: Image
     blurred: Image
@@ -99,7 +98,6 @@ class Pyramid(NamedTuple):
             Part of the diameter: dark pixels beyond it would leave a static rim.
         """
         lit = tuple(lit_pixels(*grid.binned(2**level).spans(field)) for level in range(LEVELS))
-        gaussian = cv2.getGaussianKernel(2 * _REACH + 1, HIGH_PASS_PX / 2 ** (LEVELS - 1), cv2.CV_32F)
         inside = lit[-1].astype(np.float32)
         size = len(inside)
         columns = -(-(size + _REACH) // _WHOLE_PX) * _WHOLE_PX
@@ -108,7 +106,7 @@ class Pyramid(NamedTuple):
         lines, half, fine = (
             np.zeros((grid.side >> level, grid.side >> over), np.float32) for level, over in ((1, 0), (1, 1), (0, 0))
         )
-        pyramid = cls(lit, tuple(gaussian[_REACH:, 0]), np.ones_like(share), padded, blurred, share, lines, half, fine)
+        pyramid = cls(lit, np.ones_like(share), padded, blurred, share, lines, half, fine)
         smooth_within(inside, pyramid)
         return pyramid._replace(inverse=np.reciprocal(np.maximum(share, np.float32(1e-3))))
 
@@ -180,14 +178,14 @@ def smooth_within(image: Image, pyramid: Pyramid) -> None:
     columns, smooth, inverse = pyramid.coarse.shape[1], pyramid.coarse.reshape(-1), pyramid.inverse.reshape(-1)
     # rows are joined by their margins, so that either direction is one run of pixels
     blurred = pyramid.blurred.reshape(-1)
-    _blur(pyramid.padded.reshape(-1), columns, pyramid.taps, blurred[_REACH : _REACH + len(smooth)])
-    _blur(blurred, 1, pyramid.taps, smooth)
+    _blur(pyramid.padded.reshape(-1), columns, blurred[_REACH : _REACH + len(smooth)])
+    _blur(blurred, 1, smooth)
     for k in range(len(smooth)):
         smooth[k] *= inverse[k]
 
 
 @lean_kernel
-def _blur(pixels: Image, apart: int, taps: tuple[np.float32, ...], out: Image) -> None:
+def _blur(pixels: Image, apart: int, out: Image) -> None:
     """Fill a run of pixels with the weighted sums of eleven that lie so far `apart`, the first at the run's beginning.
 
     Parameters
@@ -196,8 +194,6 @@ def _blur(pixels: Image, apart: int, taps: tuple[np.float32, ...], out: Image) -
         (n,) float32.
     apart : int
         Pixels from one to the next.
-    taps : tuple of numpy.float32
-        Weights: the middle one, and one side.
     out : numpy.ndarray
         (m,) float32, filled.
     """
@@ -205,9 +201,9 @@ def _blur(pixels: Image, apart: int, taps: tuple[np.float32, ...], out: Image) -
     p4, p5, p6, p7 = pixels[4 * apart :], pixels[5 * apart :], pixels[6 * apart :], pixels[7 * apart :]
     p8, p9, p10 = pixels[8 * apart :], pixels[9 * apart :], pixels[10 * apart :]
     for k in range(len(out)):
-        near = taps[0] * p5[k] + taps[1] * (p4[k] + p6[k]) + taps[2] * (p3[k] + p7[k])
-        far = taps[3] * (p2[k] + p8[k]) + taps[4] * (p1[k] + p9[k])
-        out[k] = near + far + taps[5] * (p0[k] + p10[k])
+        near = _TAPS[0] * p5[k] + _TAPS[1] * (p4[k] + p6[k]) + _TAPS[2] * (p3[k] + p7[k])
+        far = _TAPS[3] * (p2[k] + p8[k]) + _TAPS[4] * (p1[k] + p9[k])
+        out[k] = near + far + _TAPS[5] * (p0[k] + p10[k])
 
 
 @lean_kernel
