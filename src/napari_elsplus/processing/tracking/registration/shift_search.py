@@ -50,8 +50,7 @@ class EveryShift:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._grid = grid
-        self._quarter = self._at(LEVELS - 1)
+        self._grid, self._quarter = grid, ShiftSearch(grid, LEVELS - 1)
         self._half: ShiftSearch | None = None
 
     def of_frame(self, levels: Images) -> CoarseImage:
@@ -74,12 +73,9 @@ class EveryShift:
         """
         shifts = self._quarter.peaks(earlier, later, motion, LIKE)
         if len(shifts) > 1:
-            self._half = half = self._half or self._at(1)
+            self._half = half = self._half or ShiftSearch(self._grid, 1)
             shifts += half.peaks(half.prepare(levels[0][1]), half.prepare(levels[1][1]), motion, LIKE_AT_HALF)
         return [motion.at(*shift) for shift in shifts]
-
-    def _at(self, level: int) -> ShiftSearch:
-        return ShiftSearch(*self._grid.binned(2**level).spans(), 2**level)
 
 
 class ShiftSearch(MaskedCorrelation):
@@ -87,16 +83,16 @@ class ShiftSearch(MaskedCorrelation):
 
     Parameters
     ----------
-    first, last : numpy.ndarray
-        (n,) int32: lit columns of each row of the coarse images.
-    scale : float
-        Pixels of full resolution per coarse one.
+    grid : Grid
+        Of the frames.
+    level : int
+        Of their pyramids, at which they are compared.
     """
 
-    def __init__(self, first: NDArray[np.int32], last: NDArray[np.int32], scale: float) -> None:
-        super().__init__(lit_pixels(first, last).astype(np.float32))
-        self._shifts = (self.lags * scale).astype(np.float32)
-        self._nats_per_cell = _NATS_PER_PX * scale**2
+    def __init__(self, grid: Grid, level: int) -> None:
+        super().__init__(lit_pixels(*grid.binned(2**level).spans()).astype(np.float32))
+        self._shifts = (self.lags * 2**level).astype(np.float32)
+        self._nats_per_cell = _NATS_PER_PX * 4**level
 
     def peaks(
         self, earlier: CoarseImage, later: CoarseImage, motion: MotionPrior, share: float
@@ -116,10 +112,9 @@ class ShiftSearch(MaskedCorrelation):
         prior = motion.log_density(self._shifts[:, None], self._shifts)
         score = prior + self._nats(alike, self.overlap)
         best = int(np.argmax(score))
-        if not (highest := float(score.flat[best])) > 0:
-            return [self._shift(best)]
         highest_near = cv2.dilate(cv2.copyMakeBorder(score, 1, 1, 1, 1, cv2.BORDER_WRAP), _NEIGHBOURS)[1:-1, 1:-1]
-        cells = np.append(best, np.flatnonzero((score >= highest_near) & (score > _HIDDEN * share * highest)))
+        high = score > _HIDDEN * share * max(score.flat[best], 0)
+        cells = np.append(best, np.flatnonzero((score >= highest_near) & high))
         rows, cols = np.unravel_index(cells, score.shape)
         size = len(score)
         middle = alike[rows, cols]
@@ -130,13 +125,9 @@ class ShiftSearch(MaskedCorrelation):
             between += np.where((middle >= left) & (middle >= right), (right - left) ** 2 / (8 * bend), 0)
         nats = prior[rows, cols] + self._nats(between, self.overlap[rows, cols])
         like = np.flatnonzero((nats > share * nats[0]) & (cells != best))
-        like = like[np.argsort(-nats[like])][:MAX_PEAKS]
-        return [self._shift(cell) for cell in (best, *cells[like].tolist())]
+        found = [0, *like[np.argsort(-nats[like])][:MAX_PEAKS].tolist()]
+        return list(zip(self._shifts[rows[found]].tolist(), self._shifts[cols[found]].tolist(), strict=True))
 
     def _nats(self, alike: NDArray[np.float32], overlap: NDArray[np.float32]) -> NDArray[np.float32]:
         nats: NDArray[np.float32] = -self._nats_per_cell * overlap * np.log(1 - np.clip(alike, 0, MAX_CORRELATION) ** 2)
         return nats
-
-    def _shift(self, cell: int) -> tuple[float, float]:
-        row, col = divmod(cell, len(self._shifts))
-        return float(self._shifts[row]), float(self._shifts[col])
