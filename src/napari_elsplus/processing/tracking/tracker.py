@@ -269,8 +269,7 @@ class Tracker:
         if link is None or last is key or last.period - self._tested < wait or not link.tells_turn:
             return
         self._tested = last.period
-        spread = self._motion.prior(self._motion.ahead(1), 1).spread
-        found = self.registrar.remainder(key.view, last.view, link.warp, spread)
+        found = self.registrar.remainder(key.view, last.view, link.warp, self._motion.spread_of_stretch)
         if found is None:
             return
         apart, turn = last.period - key.period, -float(found.step[-1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
+from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior, terms_of
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity
 
 if TYPE_CHECKING:
@@ -165,6 +165,12 @@ class Motion:
     def spread(self) -> float:
         """Standard deviation of the next velocity about what is expected."""
         return _MIN_SPREAD + _SPREAD_OF_SURPRISE * self.surprise
+
+    @property
+    def spread_of_stretch(self) -> float:
+        """Standard deviation of stretch, and of shear, between successive frames, given the shift."""
+        covariance = _of_random_walk(self.variance, self.spread**2, 1, None)
+        return float(terms_of(covariance, self._shutter.line_periods_per_frame)[0] ** -0.5)
 
     def ahead(self, frames: int) -> Displacement:
         """Displacement expected from the last registered frame to one so many frames later."""
