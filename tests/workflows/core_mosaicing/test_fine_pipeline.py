@@ -69,6 +69,15 @@ def test_a_large_bundle_loses_no_detail(insertion: str) -> None:
     np.testing.assert_allclose(moves, np.diff(PLACES, axis=0), atol=0.1)
 
 
+def test_a_bundle_of_few_cores_is_drawn_in_pixels_of_the_camera() -> None:
+    row, col = np.mgrid[:484, :484]
+    few = 1 + 0.5 * np.cos(2 * np.pi * row / 12) * np.cos(2 * np.pi * col / 12)
+    lone = calibration().model_copy(update={"flat": few.astype(np.float32)})
+    assert Grid.of(lone).binning > 2
+    of = scene()
+    assert correlation(mosaic(frames(of), lone, "els"), of) > 0.9
+
+
 def test_all_image_types_and_the_growing_mosaic_have_the_same_pixels() -> None:
     of = scene()
     raw = frames(of)

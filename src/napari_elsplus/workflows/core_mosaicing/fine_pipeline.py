@@ -1,7 +1,7 @@
 """Mosaics in pixels of the camera, of frames that are tracked on a coarser grid.
 
 A large bundle is tracked at about a pixel per core, which is as exact, and quicker. Its mosaics would lose detail
-there: they are drawn of images that are not binned, or no more than to two pixels per core.
+there: they are drawn of images that are not binned.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import hypot, inf
+from math import hypot
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -266,7 +266,7 @@ def new_pipeline(
         If cores are to be inserted that the calibration's flat field does not show.
     """
     if Insertion(insertion) is not Insertion.CORES:
-        finer = tracking_method(method).tapers_rim and Grid.of(calibration, inf).binning < Grid.of(calibration).binning
+        finer = tracking_method(method).tapers_rim and Grid.of(calibration).binning > 1
         made = FinePipeline if finer else Pipeline
         return made(calibration, frame_shape, mode, method=method, insertion=insertion)
     view = view_of_raw_frames(calibration, frame_shape, mode)

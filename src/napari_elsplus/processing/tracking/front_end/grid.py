@@ -84,11 +84,11 @@ class Grid:
             With the bundle section; without line periods per frame the shutter counts as global.
         diameter_px : float
             Diameter of the bundle on the grid that is aimed at; the binning is a whole number. The diameter becomes
-            smaller where the flat field shows that cores are few.
+            smaller where the flat field shows that cores are few, unless it is infinite: pixels of the camera.
         """
         bundle = calibration.measured_bundle
         binning = max(1, round(bundle.diameter_px / diameter_px))
-        if (flat := calibration.flat) is not None:
+        if np.isfinite(diameter_px) and (flat := calibration.flat) is not None:
             spacing_px = core_spacing_px(flat, disc(len(flat), _CORE_FIELD * bundle.diameter_px)) or 0.0
             if spacing_px > MAX_SPACING_PX * binning:
                 binning = round(spacing_px / SPACING_PX)
