@@ -81,3 +81,19 @@ def test_the_offset_is_that_at_the_centres_where_views_differ_in_scale(beside_ro
     assert offset.rows == pytest.approx(instrument.offset_rows, abs=0.03)
     warnings = summarize_pair(pair, draft, Setup(draft.calibration.frame)).warnings
     assert not any("offsets differ" in warning for warning in warnings)
+
+
+def test_the_offset_of_a_rotated_view_is_as_exact_as_stated() -> None:
+    """The centres, at which it holds, are uncertain: 16 rigs were off by 1.9 stated standard deviations RMS."""
+    off = []
+    for seed in range(16):
+        random = np.random.default_rng(seed)
+        left, right = (150.3 + random.uniform(), 148 + random.uniform()), (141.2 + random.uniform(), 452.5)
+        turn_deg, scale = random.choice([-3.5, 3.5]), random.choice([1.0, 1.02])
+        rig = Rig(left, right, 270.0, line_rows=2.2, turn_deg=turn_deg, scale=scale, seed=seed)
+        draft = measure(line=list(rig.line()), bundle=list(rig.bundle(4)), background=list(rig.background(10)))
+        offset = draft.calibration.offset
+        assert offset is not None
+        assert offset.uncertainty_rows is not None
+        off.append((offset.rows - (right[0] - left[0])) / offset.uncertainty_rows)
+    assert np.sqrt(np.mean(np.square(off))) < 1.5

@@ -201,12 +201,15 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     centre, confocal, sigma_rows = pair.confocal.centre, line.confocal, pair.alignment.centre_uncertainty_px
     row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
     rows, away_rows = _offset_of_cores(line, pair, centre[0]), line.rows - _offset_of_cores(line, pair, row)
+    beside_rows = np.linalg.norm(np.linalg.inv(pair.alignment.residual_to_confocal[:, :2])[0] - (1, 0))
+    placed_rows = float(beside_rows * pair.confocal.centre_uncertainty_px)  # of a view that is turned or scaled
     line = replace(line, rows=rows + away_rows, parts=offset.parts, clipped=offset.clipped)
     if pair.alignment.refusal or abs(away_rows) > MAX_OFFSET_DIFFERENCE_ROWS:
-        return line
+        return replace(line, uncertainty_rows=float(np.hypot(line.uncertainty_rows, placed_rows)))
     variances = np.array((max(line.uncertainty_rows**2, away_rows**2 - sigma_rows**2), sigma_rows**2))
     mean_rows = float(np.average((line.rows, rows), weights=1 / variances))
-    return replace(line, rows=mean_rows, uncertainty_rows=float(np.sqrt(1 / (1 / variances).sum())))
+    sigma_rows = float(np.sqrt(1 / (1 / variances).sum() + placed_rows**2))
+    return replace(line, rows=mean_rows, uncertainty_rows=sigma_rows)
 
 
 def _of_lines(
