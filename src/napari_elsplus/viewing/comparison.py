@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER, contrast
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import COMPARED_MODES, frames_in_turn
 from napari_elsplus.processing.images.sectioning import Mode, disc

@@ -14,7 +14,7 @@ from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import open_recording
 from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.processing.analysis.image_quality import white_level
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance

@@ -10,7 +10,7 @@ from napari_elsplus.instrument.arguments import require_calibration, require_fra
 from napari_elsplus.io import beside, existing_beside, read_depths_um
 from napari_elsplus.processing.axial.axial_response import AxialResponse, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.progress import without_display
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.modes import COMPARED_MODES, frames_in_turn
 from napari_elsplus.processing.images.sectioning import Mode, disc
 from napari_elsplus.workflows.pictures.comparison import ComparisonFigure, scaled_images

@@ -13,7 +13,7 @@ from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.arguments import require_calibration, require_frames
 from napari_elsplus.io import ImageMetadata, Recording, allocate_images, fill_images, write_images
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.row_reference import shows_row_noise

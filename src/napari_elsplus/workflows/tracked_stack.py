@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import TrackTable
 from napari_elsplus.io.frame_times import median_period_s
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.tracking.methods import RegistrationTracking

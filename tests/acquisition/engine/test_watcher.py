@@ -17,7 +17,7 @@ from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.processing.calibration.live_agreement import LiveAgreement
+from napari_elsplus.processing.calibration.core_agreement import CoreAgreement
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.specimen.scenes import nuclei
 from napari_elsplus.simulation.specimen.trajectories import Still
@@ -29,15 +29,15 @@ COMPARISONS = 6
 def compared(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Return a list that grows with each comparison, of which many are made in a second."""
     seen: list[bool] = []
-    judge = LiveAgreement.disagreement
+    judge = CoreAgreement.disagreement
 
-    def counted(self: LiveAgreement, frames: object) -> object:
+    def counted(self: CoreAgreement, frames: object) -> object:
         found = judge(self, frames)  # type: ignore[arg-type]
         seen.append(found is not None)
         return found
 
     monkeypatch.setattr(watcher, "COMPARISON_PERIOD_S", 0.02)
-    monkeypatch.setattr(LiveAgreement, "disagreement", counted)
+    monkeypatch.setattr(CoreAgreement, "disagreement", counted)
     return seen
 
 

@@ -6,7 +6,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
-from napari_elsplus.processing.calibration.live_agreement import LiveAgreement
+from napari_elsplus.processing.calibration.core_agreement import CoreAgreement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -83,7 +83,7 @@ class AgreementWatch(Thread):
         super().__init__(name="calibration-watch", daemon=True)
         self._scanned_by, self._fresh_frames, self._failed = scanned_by, fresh_frames, failed
         self._stopping = Event()
-        self._known: tuple[Calibration, LiveAgreement | None] | None = None
+        self._known: tuple[Calibration, CoreAgreement | None] | None = None
         self.disagreement = ""
 
     def stop(self) -> None:
@@ -115,10 +115,10 @@ class AgreementWatch(Thread):
         if _without_numbers(text) != _without_numbers(self.disagreement):
             self.disagreement = text
 
-    def _agreement(self, calibration: Calibration, frame_shape: tuple[int, int]) -> LiveAgreement | None:
+    def _agreement(self, calibration: Calibration, frame_shape: tuple[int, int]) -> CoreAgreement | None:
         if self._known is None or self._known[0] is not calibration:
             try:
-                self._known = calibration, LiveAgreement(calibration, frame_shape)
+                self._known = calibration, CoreAgreement(calibration, frame_shape)
             except CalibrationError:
                 self._known = calibration, None
             self.disagreement = ""

@@ -16,7 +16,7 @@ from napari_elsplus.instrument.calibration import ARRAYS
 from napari_elsplus.io import Recording, read_calibration
 from napari_elsplus.io.calibrations import format_calibration
 from napari_elsplus.processing.analysis.image_quality import USED_DIAMETER
-from napari_elsplus.processing.calibration.bundle.agreement import agreement_note
+from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import disc
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages, split
 from napari_elsplus.workflows.batch.tiles import TILE_UM, write_tile

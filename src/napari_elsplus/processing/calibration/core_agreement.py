@@ -1,4 +1,4 @@
-"""Agreement of a calibration with live frames: the place of the cores in both views, and the brightness of the views.
+"""Agreement of a calibration with frames: the place of the cores in both views, and the brightness of the views.
 
 The cores transmit differently, whatever lies before them: the pattern of the calibration's flat field is found in each
 view of a few averaged frames, to a fraction of a pixel. A bundle that has moved displaces both views, a tilt mirror
@@ -15,7 +15,7 @@ from scipy import fft
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.scanning import rate_advice
-from napari_elsplus.processing.calibration.bundle.agreement import require_agreement
+from napari_elsplus.processing.calibration.bundle.agreement import averaged_frames, grey_level_note, require_agreement
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC, core_contrast
 from napari_elsplus.processing.calibration.frame_regions import mean_frame
 from napari_elsplus.processing.images.sectioning import Sectioner, disc
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
-REACH_PX: Final = 8
-"""Displacement to either side that is searched; chosen: three cores."""
+REACH_PX: Final = 20
+"""Displacement to either side that is searched; derived: the rim shows larger ones of bundles of up to 650 pixels."""
 COMPARED_SIDE_PX: Final = 256
 """Of the square in the middle of the views that is compared; chosen: thousands of cores, in a third of the time."""
 MIN_CORRELATION: Final = 0.15
@@ -68,8 +68,8 @@ class ViewDisplacement(NamedTuple):
     correlation: float
 
 
-class LiveAgreement:
-    """Compares live frames with the calibration that they are sectioned by.
+class CoreAgreement:
+    """Compares frames with the calibration that they are sectioned by.
 
     Parameters
     ----------
@@ -121,6 +121,31 @@ class LiveAgreement:
         confocal, residual = (self._displacement(view) for view in views)
         if confocal is None or residual is None:
             return self._elsewhere(frames)
+        if moved := self._moved(confocal, residual):
+            return moved
+        ratio = self._brightness_ratio(*views)
+        if rate_advice(self._calibration):
+            return None  # the calibration says itself that the line is off its slit, and what to do
+        if ratio is not None and ratio > MAX_BRIGHTER:
+            return CalibrationError(
+                f"the residual view is {100 * (ratio - 1):.0f} % brighter than the confocal view, by the calibrated "
+                "gain",
+                "is a view shaded, or the line off its slit? measure bundle pair and galvo map again",
+            )
+        return None
+
+    def displacement(self, frames: Frames) -> CalibrationError | None:
+        """Return how far views have moved, with the remedy; None if they have not, or do not show their cores.
+
+        Parameters
+        ----------
+        frames : sequence of numpy.ndarray
+            Raw frames (rows, cols), scanned by the calibration.
+        """
+        confocal, residual = self.displacements(frames)
+        return None if confocal is None or residual is None else self._moved(confocal, residual)
+
+    def _moved(self, confocal: ViewDisplacement, residual: ViewDisplacement) -> CalibrationError | None:
         rows, cols = residual.rows - confocal.rows, residual.cols - confocal.cols
         if self._too_far(rows, cols):
             return CalibrationError(
@@ -133,15 +158,6 @@ class LiveAgreement:
                 f"the bundle has moved by {confocal.rows:.1f} rows and {confocal.cols:.1f} columns since the "
                 "calibration",
                 "measure the bundle pair again",
-            )
-        ratio = self._brightness_ratio(*views)
-        if rate_advice(self._calibration):
-            return None  # the calibration says itself that the line is off its slit, and what to do
-        if ratio is not None and ratio > MAX_BRIGHTER:
-            return CalibrationError(
-                f"the residual view is {100 * (ratio - 1):.0f} % brighter than the confocal view, by the calibrated "
-                "gain",
-                "is a view shaded, or the line off its slit? measure bundle pair and galvo map again",
             )
         return None
 
@@ -191,6 +207,32 @@ class LiveAgreement:
         if np.count_nonzero(lit) < MIN_TILES:
             return None
         return float(np.percentile(other[lit] / light[lit], BRIGHT_SHARE))
+
+
+def agreement_note(frames: Frames, calibration: Calibration) -> str:
+    """Return in which way frames contradict a calibration, with the remedy, or "".
+
+    Their grey levels are compared (:func:`grey_level_note`), and where the views lie, by the cores.
+
+    Parameters
+    ----------
+    frames : Frames
+        Raw frames (rows, cols) that the calibration is applied to; a few of them are averaged.
+    calibration : Calibration
+        With the bundle section.
+
+    Raises
+    ------
+    CalibrationError
+        If they are frames of another rig (:func:`require_agreement`) or bit depth, or the calibration does not fit.
+    """
+    require_agreement(frames, calibration)
+    note = grey_level_note(frames, calibration)
+    if calibration.bundle is None or calibration.flat is None or not len(frames):
+        return note
+    some = [np.asarray(frames[number]) for number in averaged_frames(len(frames))]
+    moved = CoreAgreement(calibration, some[0].shape).displacement(some)
+    return "; ".join(filter(None, (note, "" if moved is None else str(moved))))
 
 
 def _vertex(before: float, at: float, after: float) -> float:
