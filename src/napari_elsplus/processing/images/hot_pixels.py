@@ -1,6 +1,7 @@
-"""Hot pixels of the camera, found in the background and replaced in raw frames by the median of their neighbours.
+"""Hot pixels and dead columns of the camera, found in the background and replaced in raw frames by their neighbours.
 
-Their dark current is subtracted with the background, but its noise is not, and a saturated one shows nothing at all.
+Their dark current is subtracted with the background, but its noise is not, and a saturated one shows nothing at all,
+nor does a dead column.
 """
 
 from __future__ import annotations
@@ -26,11 +27,18 @@ MIN_EXCESS: Final = 3.0
 SAMPLED: Final = 8
 """Step of the rows from which that median is estimated; chosen: thousands of pixels are left."""
 MAX_SHARE: Final = 0.01
-"""Of the pixels that may be hot; chosen: a background of which more stand out has structure of another kind."""
+"""Of the pixels that may be hot, and of the columns that may be dead; chosen: a background of which more stand out has
+structure of another kind."""
+DEAD_PERCENT: Final = 90.0
+"""Percentage of a dead column that is darker, or brighter, than what is around it; chosen: rows of a lattice of cores
+change sides along a column."""
+MEDIAN_PX: Final = 5
+"""Side of the square whose median a dead column is compared with; derived: of two columns side by side it is that of
+the others."""
 
 
 class HotPixels:
-    """Hot pixels of one camera region.
+    """Hot pixels and dead columns of one camera region.
 
     Parameters
     ----------
@@ -40,12 +48,18 @@ class HotPixels:
     Attributes
     ----------
     rows, cols : numpy.ndarray
-        Their positions in the frame.
+        Positions of the hot pixels in the frame.
+    dead_columns : numpy.ndarray
+        Columns that differ along their length from those around in the dark.
     """
 
     def __init__(self, background: NDArray[np.float32] | None) -> None:
         none = np.zeros(0, np.intp)
         self.rows, self.cols = (none, none) if background is None else _stand_out(background)
+        self.dead_columns = none if background is None else _dead_columns(background)
+        alive = np.delete(np.arange(0 if background is None else background.shape[1]), self.dead_columns)
+        after = np.searchsorted(alive, self.dead_columns)
+        self._beside = [alive[np.clip(at, 0, len(alive) - 1)] if len(alive) else none for at in (after - 1, after)]
         self._neighbours = np.delete(_square(1), 4, axis=1)
 
     def __len__(self) -> int:
@@ -53,18 +67,19 @@ class HotPixels:
         return len(self.rows)
 
     def mended(self, raw: NDArray[Pixel]) -> NDArray[Pixel]:
-        """Return a copy of a raw frame with its hot pixels replaced; without any, the frame itself.
+        """Return a copy of a raw frame with hot pixels and dead columns replaced; without any, the frame itself.
 
         Parameters
         ----------
         raw : numpy.ndarray
             (rows, cols) grey levels.
         """
-        if not len(self):
+        if not len(self) and not len(self.dead_columns):
             return raw
         mended = np.array(raw)
         around = _around(raw, self.rows, self.cols, self._neighbours)
         mended[self.rows, self.cols] = np.median(around, axis=0).astype(raw.dtype)
+        mended[:, self.dead_columns] = np.mean([mended[:, beside] for beside in self._beside], axis=0)
         return mended
 
 
@@ -84,6 +99,14 @@ def _stand_out(background: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArr
     hot = height > PATTERN * (frame[rows, cols] - height - lowest)
     hot &= np.count_nonzero(hot) <= MAX_SHARE * frame.size
     return rows[hot], cols[hot]
+
+
+def _dead_columns(background: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the columns of a background that differ along their length from those around; none at its sides."""
+    some = np.asarray(background[::SAMPLED], np.float32)
+    least, most = np.percentile(some - cv2.medianBlur(some, MEDIAN_PX), (100 - DEAD_PERCENT, DEAD_PERCENT), axis=0)
+    dead: NDArray[np.intp] = np.flatnonzero((most < -MIN_EXCESS) | (least > MIN_EXCESS))
+    return dead if len(dead) <= MAX_SHARE * len(most) else dead[:0]
 
 
 def _square(reach: int) -> NDArray[np.intp]:
