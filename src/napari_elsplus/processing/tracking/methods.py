@@ -22,6 +22,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     LinePeriodsPerFrame,
     estimate_line_periods_per_frame,
 )
+from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -154,6 +155,13 @@ class FrontEndImages(TrackingMethod):
         self._front_end.image(raw, out, raw_residual)
 
 
+class _WithoutRotation(Registrar):
+    """Registers frames of a probe that does not turn: nothing is tested for rotation."""
+
+    def remainder(self, *_: Any, **__: Any) -> None:
+        """Return None."""
+
+
 class RegistrationTracking(FrontEndImages):
     """Sub-pixel registration to keyframes with rolling-shutter correction, acceptance tests, and loop closure.
 
@@ -216,17 +224,29 @@ class RegistrationTracking(FrontEndImages):
         if not registrar.registers_warps:
             return poses
         frame = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES)
+
+        def again(registrar: Registrar, turn_rate: float | None) -> tuple[list[Pose], list[TrackedPair]]:
+            """Track all frames once more."""
+            once_more = Tracker(registrar, turn_rate)
+            tracked = []
+            for index in range(len(poses)):
+                once_more.skip(tracker.lost.get(index, 0))
+                once_more.slot()[:] = image(index)
+                tracked.append(once_more.add())
+            return completed(tracked, once_more, image)
+
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(tracker.links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
             rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
-            lost, tracker = tracker.lost, Tracker(registrar, next(rates, 0.0))
-            for index in range(len(poses)):
-                tracker.skip(lost.get(index, 0))
-                tracker.slot()[:] = image(index)
-                poses[index] = tracker.add()
-        poses, links = completed(poses, tracker, image)
-        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), model)
+            turned, links = again(registrar, next(rates, 0.0))
+            if probe_turns(turned, links, registrar.grid.shutter, tracker.lost):
+                return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model)
+        if tracker.model is MotionModel.TRANSLATION:
+            poses, links = completed(poses, tracker, image)
+        else:
+            poses, links = again(_WithoutRotation(registrar.grid), None)
+        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame))
 
 
 def prepared_frames(
