@@ -20,23 +20,16 @@ if TYPE_CHECKING:
 
     from napari_elsplus.io import TrackPoint, TrackTable
 
-MIN_STEP_PX: Final = 2.0
-"""Least length of a line, pixels of the mosaic; chosen, below the width of a drawn line."""
+MIN_APART_PX: Final = 2.0
+"""Side of the squares of which each keeps its newest frame, pixels of the mosaic; chosen, below the width of a line."""
 MAX_LINES: Final = 2_000
-"""Lines drawn; above this, lines are joined, or left out where newer ones pass close by. Chosen, so
-that napari updates them within a tick."""
-_COARSE_STEP_PX: Final = 16.0
-"""Length of joined lines from which on lines are left out instead, pixels of the mosaic; chosen."""
-_MIN_SPACING_PX: Final = 16.0
-_MAX_SPACING_PX: Final = 128.0
-"""Smallest and largest spacing of the cells in which only the newest lines remain, pixels of the mosaic; chosen: up to
-half a bundle diameter."""
-_THINNED_SHARE: Final = 0.75
-"""Share of MAX_LINES that remains after thinning, so that it is not repeated at each row; chosen."""
-_STRETCH_LINES: Final = 16
-"""Successive lines that are kept or left out together, so that the track is not dashed; chosen."""
-_MIN_NEW_SHARE: Final = 0.3
-"""Least share of a stretch's cells that no newer line passes, for it to be kept; chosen."""
+"""Frames between which lines are drawn; above this, the squares are made larger. Chosen, so that napari updates the
+lines within a tick."""
+_MAX_APART_PX: Final = 1 << 14
+"""Largest side of a square, pixels: a quarter of the largest mosaic."""
+_JOINED: Final = 3.0
+"""Way between frames that a line connects although others between them were left out, sides of a square; chosen: more
+than the diagonal of two."""
 SPEED_WINDOW_FRAMES: Final = 12
 """Frames over which the speed is averaged: 50 ms at 240 Hz, chosen."""
 PREDICTED, LOST, BEGINS = "predicted", "lost", "begins"
@@ -44,9 +37,7 @@ ROWS_AT_ONCE: Final = 1 << 12
 """Rows read per call: about 10 ms, chosen, more than arrive between two calls."""
 MAX_MARKS: Final = 300
 """Marks drawn; chosen, more could not be distinguished on a screen."""
-_MAX_MARK_SPACING_PX: Final = 1 << 14
-"""Largest spacing to which marks are thinned, pixels: a quarter of the largest mosaic."""
-_TRACKED, _LOST = STATES.index(TrackingState.TRACKED), STATES.index(TrackingState.LOST)
+_TRACKED, _PREDICTED, _LOST = map(STATES.index, (TrackingState.TRACKED, TrackingState.PREDICTED, TrackingState.LOST))
 
 
 class TrackGeometry(NamedTuple):
@@ -76,23 +67,34 @@ class TrackGeometry(NamedTuple):
     labels: NDArray[np.str_]
 
 
-class _FramePlace(NamedTuple):
-    """Index and position of a frame, pixels of the mosaic."""
+class _Apart:
+    """Frames of a track of which each square of the mosaic keeps the newest, so that they are few."""
 
-    number: int
-    row: float
-    col: float
-    segment: int
+    def __init__(self, most: int) -> None:
+        self.frames: NDArray[np.int64] = np.empty(0, np.int64)
+        self.apart_px = MIN_APART_PX
+        self._most = most
 
-    def distance_to(self, other: _FramePlace) -> float:
-        return hypot(self.row - other.row, self.col - other.col)
+    def add(self, frames: NDArray[np.int64], rows: Any, camera_px_per_pixel: float) -> None:
+        """Add later frames; `rows` are those of the table."""
+        self.frames = np.append(self.frames, frames)
+        self._thin(rows, camera_px_per_pixel)
+        while len(self.frames) > self._most and self.apart_px < _MAX_APART_PX:
+            self.apart_px *= 2
+            self._thin(rows, camera_px_per_pixel)
+        self.frames = self.frames[-self._most :]
+
+    def _thin(self, rows: Any, camera_px_per_pixel: float) -> None:
+        chosen = rows[self.frames[::-1]]
+        squares = [chosen[name] // (self.apart_px * camera_px_per_pixel) for name in ("row_px", "col_px")]
+        _, newest = np.unique(np.stack([chosen["segment"], *squares]), axis=1, return_index=True)
+        self.frames = np.sort(self.frames[::-1][newest])
 
 
 class TrackDrawing:
     """Simplifies a growing track to a bounded number of lines and marks.
 
-    The frames to draw are selected once and their positions read at each drawing, so that the cost of a change of all
-    poses depends on what is drawn, not on the length of the track.
+    The frames to draw are selected once and their positions read at each drawing.
 
     Parameters
     ----------
@@ -105,15 +107,11 @@ class TrackDrawing:
     def __init__(self, rows: TrackTable, camera_px_per_pixel: float) -> None:
         self.rows = rows
         self._scale = camera_px_per_pixel
-        self._step_px = self._mark_step_px = MIN_STEP_PX
-        self._apart_px = _MIN_SPACING_PX
         self._seen = 0
-        self._lines: list[tuple[int, int, float]] = []
-        self._marks: list[tuple[int, str]] = []
+        self._state = _LOST
+        self._tracked = _Apart(MAX_LINES)
+        self._marks = {PREDICTED: _Apart(MAX_MARKS // 2), LOST: _Apart(MAX_MARKS // 2)}
         self._begins: dict[int, int] = {}
-        self._vertex: _FramePlace | None = None
-        self._last: _FramePlace | None = None
-        self._score = nan
 
     @property
     def segments(self) -> int:
@@ -128,21 +126,20 @@ class TrackDrawing:
     def add(self) -> bool:
         """Read the next rows, a limited number, and return True if there were any."""
         rows = self.rows.columns
-        self._vertex, self._last = (one and self._where(rows, one.number) for one in (self._vertex, self._last))
         fresh = rows[self._seen : self._seen + ROWS_AT_ONCE]
-        places = (fresh["row_px"] / self._scale, fresh["col_px"] / self._scale, fresh["segment"])
-        for index, row, col, segment, state, score in zip(
-            range(self._seen, self._seen + len(fresh)),
-            *(column.tolist() for column in (*places, fresh["state"], fresh["score"])),
-            strict=True,
-        ):
-            self._add(_FramePlace(index, row, col, segment), STATES[state], score)
-        self._seen += len(fresh)
-        if len(self._lines) > MAX_LINES:
-            self._thin()
-        if len(self._marks) > MAX_MARKS:
-            self._thin_marks()
-        return len(fresh) > 0
+        if not len(fresh):
+            return False
+        states = np.append(self._state, fresh["state"])
+        before, state = states[:-1], states[1:]
+        frames = np.arange(self._seen, self._seen + len(fresh))
+        self._seen, self._state = self._seen + len(fresh), state[-1]
+        tracked = frames[state == _TRACKED]
+        for segment, frame in zip(rows["segment"][tracked].tolist(), tracked.tolist(), strict=True):
+            self._begins.setdefault(segment, frame)
+        self._tracked.add(tracked, rows, self._scale)
+        self._marks[PREDICTED].add(frames[state == _PREDICTED], rows, self._scale)
+        self._marks[LOST].add(frames[(state == _LOST) & (before != _LOST)] - 1, rows, self._scale)
+        return True
 
     def geometry(self, place: Callable[[int], tuple[int, int]]) -> TrackGeometry:
         """Return lines and marks at their present positions.
@@ -153,112 +150,33 @@ class TrackDrawing:
             Returns row and column of a segment's (0, 0) on the sheet.
         """
         rows = self.rows.columns
-        lines = np.array([*self._lines, *self._unfinished()], np.float64).reshape(-1, 3)
-        first, last = (rows[lines[:, end].astype(np.int64)] for end in (0, 1))
-        drawn = (first["state"] == _TRACKED) & (last["state"] == _TRACKED) & (first["segment"] == last["segment"])
-        starts, ends = (self._on_sheet(end[drawn], place) for end in (first, last))
-        begins = [(index, BEGINS) for index in self._begun()[-MAX_MARKS:]]
-        marks = sorted(begins + self._marks)
-        marked = rows[[index for index, _ in marks]]
+        starts, steps, score, segment = self._lines(place)
+        begins = [(frame, BEGINS) for frame in self._begun()[-MAX_MARKS:]]
+        marks = sorted(begins + [(frame, kind) for kind, one in self._marks.items() for frame in one.frames.tolist()])
+        marked = rows[[frame for frame, _ in marks]]
         known = marked["state"] != _LOST
         kinds = np.array([kind for _, kind in marks], np.str_)[known]
         numbers = (marked["segment"][known] + 1).astype(np.str_)
         return TrackGeometry(
-            np.stack([starts, ends - starts], axis=1),
-            lines[drawn, 2],
-            first["segment"][drawn],
+            np.stack([starts, steps], axis=1),
+            score,
+            segment,
             self._on_sheet(marked[known], place),
             kinds,
             np.where(kinds == BEGINS, numbers, ""),
         )
 
-    def _add(self, here: _FramePlace, state: str, score: float) -> None:
-        if state == TrackingState.LOST:
-            if self._last is not None:
-                self._end_line()
-                self._marks.append((self._last.number, LOST))
-            self._vertex = self._last = None
-            return
-        if state == TrackingState.PREDICTED:
-            self._end_line()
-            self._marks.append((here.number, PREDICTED))
-            self._vertex = None
-            return
-        self._begins.setdefault(here.segment, here.number)
-        if self._vertex is None or self._vertex.segment != here.segment:
-            self._vertex, self._score = here, nan
-        else:
-            self._score = float(np.fmin(self._score, score))
-            if here.distance_to(self._vertex) >= self._step_px:
-                self._draw_to(here)
-        self._last = here
-
-    def _end_line(self) -> None:
-        self._lines += self._unfinished()
-
-    def _draw_to(self, here: _FramePlace) -> None:
-        assert self._vertex is not None
-        self._lines.append((self._vertex.number, here.number, self._score))
-        self._vertex, self._score = here, nan
-
-    def _unfinished(self) -> list[tuple[int, int, float]]:
-        """Return the line from the last selected frame to the newest, if they differ."""
-        one, other = self._vertex, self._last
-        if one is None or other is None or one.segment != other.segment or one.distance_to(other) == 0:
-            return []
-        return [(one.number, other.number, self._score)]
-
-    def _thin(self) -> None:
-        """Reduce the number of lines: join them first, then keep the newest where many are close together."""
-        if self._step_px >= _COARSE_STEP_PX:
-            self._keep_newest()
-            while len(self._lines) > _THINNED_SHARE * MAX_LINES and self._apart_px < _MAX_SPACING_PX:
-                self._apart_px *= 2
-                self._keep_newest()
-            if len(self._lines) <= _THINNED_SHARE * MAX_LINES:
-                return
-        self._join()
-
-    def _keep_newest(self) -> None:
-        """Drop stretches of the track along which newer ones mostly pass."""
-        rows = self.rows.columns
-        first, last = (rows[[line[end] for line in self._lines]] for end in (0, 1))
-        middle = [(first[name] + last[name]) / (2 * self._scale) // self._apart_px for name in ("row_px", "col_px")]
-        cells = list(zip(first["segment"].tolist(), *(one.tolist() for one in middle), strict=True))
-        passed: set[tuple[int, float, float]] = set()
-        kept: list[tuple[int, int, float]] = []
-        for end in range(len(cells), 0, -_STRETCH_LINES):
-            stretch = slice(max(0, end - _STRETCH_LINES), end)
-            here = set(cells[stretch])
-            if len(here - passed) > _MIN_NEW_SHARE * len(here):
-                kept += reversed(self._lines[stretch])
-                passed |= here
-        self._lines = kept[::-1]
-
-    def _join(self) -> None:
-        """Join successive lines in pairs."""
-        self._step_px *= 2
-        kept: list[tuple[int, int, float]] = []
-        joined = True
-        for first, last, score in self._lines:
-            if not joined and kept[-1][1] == first:
-                kept[-1] = (kept[-1][0], last, float(np.fmin(kept[-1][2], score)))
-                joined = True
-            else:
-                kept.append((first, last, score))
-                joined = False
-        self._lines = kept
-
-    def _thin_marks(self) -> None:
-        """Keep the newest of marks that are close together, and the newest of too many that are not."""
-        marked = self.rows.columns[[index for index, _ in self._marks]]
-        where = np.stack([marked["row_px"], marked["col_px"]], axis=1) / self._scale
-        segments, marks = marked["segment"].tolist(), self._marks
-        while len(self._marks) > MAX_MARKS / 2 and self._mark_step_px < _MAX_MARK_SPACING_PX:
-            cells = map(tuple, (where // self._mark_step_px).tolist())
-            self._marks = sorted(dict(zip(zip(cells, segments, strict=True), marks, strict=True)).values())
-            self._mark_step_px *= 1 if len(self._marks) <= MAX_MARKS / 2 else 2
-        del self._marks[:-MAX_MARKS]
+    def _lines(self, place: Callable[[int], tuple[int, int]]) -> tuple[NDArray[Any], ...]:
+        """Return start, step, lowest score and segment of the lines between successive frames that are drawn."""
+        frames = self._tracked.frames
+        rows = self.rows.columns[: frames[-1] + 1 if len(frames) else 0]
+        first, last, after = rows[frames[:-1]], rows[frames[1:]], frames[:-1] + 1
+        steps_px = np.hypot(*(np.diff(rows[name], prepend=0) for name in ("row_px", "col_px"))) / self._scale
+        near = np.add.reduceat(steps_px, after) < _JOINED * self._tracked.apart_px
+        drawn = (first["segment"] == last["segment"]) & (first["state"] == _TRACKED) & (near | (frames[1:] == after))
+        drawn &= np.logical_and.reduceat(rows["state"] == _TRACKED, after)
+        starts, ends = (self._on_sheet(end[drawn], place) for end in (first, last))
+        return starts, ends - starts, np.fmin.reduceat(rows["score"], after)[drawn], first["segment"][drawn]
 
     def _begun(self) -> list[int]:
         """Return the first tracked frames of the segments that were neither lost nor joined to earlier ones."""
@@ -267,12 +185,6 @@ class TrackDrawing:
         there = rows["state"] == _TRACKED
         _, firsts = np.unique(rows["segment"][there], return_index=True)
         return sorted(indices[there][firsts].tolist())
-
-    def _where(self, rows: Any, index: int) -> _FramePlace:
-        row = rows[index]
-        return _FramePlace(
-            index, float(row["row_px"]) / self._scale, float(row["col_px"]) / self._scale, int(row["segment"])
-        )
 
     def _on_sheet(self, rows: Any, place: Callable[[int], tuple[int, int]]) -> NDArray[np.float64]:
         return _on_sheet(rows, place, self._scale)
