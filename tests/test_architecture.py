@@ -63,7 +63,6 @@ ORDER = (
     "hardware.driver_takeover",
     "hardware.guardian",
     "hardware.virtual.timeline",
-    "hardware.virtual.named_thread",
     "hardware.virtual.galvo",
     "hardware.virtual.remembered_frames",
     "hardware.virtual.scene_frames",
