@@ -125,6 +125,21 @@ def test_outliers_are_thrown_out_and_counted() -> None:
     assert set(np.flatnonzero(~found.used)) == set(wrong)
 
 
+@pytest.mark.parametrize("lost", [60, 100, 140])
+@pytest.mark.parametrize("falling", [False, True])
+def test_a_sweep_that_lost_a_frame_is_refused(lost: int, falling: bool) -> None:
+    """The slope was off by up to 2 %, or the row by a whole step, with uncertainties of a tenth of that."""
+    random = np.random.default_rng(lost)
+    volts = (-1e-3 if falling else 1e-3) * ROWS
+    rows = ROWS + random.normal(0, 0.05, len(ROWS))
+    fitted(rows, volts)
+    shifted = np.concatenate([rows[:lost], rows[lost + 1 :], rows[-1:]])
+    with pytest.raises(MeasurementError, match=rf"jumps by 1.* rows at frame {lost} of the sweep: was a frame lost"):
+        fitted(shifted, volts)
+    curved = rows + 2e-6 * (ROWS - 150) ** 3 + 0.5 * np.sin(ROWS / 20)
+    assert fitted(curved, volts).lines == len(ROWS)
+
+
 def test_a_bent_galvo_is_detected_and_a_straight_one_is_not_accused() -> None:
     random = np.random.default_rng(3)
     along = np.linspace(-1, 1, ROWS.size)

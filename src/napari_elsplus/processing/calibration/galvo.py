@@ -21,6 +21,7 @@ from napari_elsplus.processing.analysis.uncertainty import (
     small_sample_factor,
 )
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
+from napari_elsplus.processing.calibration.line.sweep_jump import require_steady
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -175,7 +176,7 @@ def fit_galvo(
     InputError
         If the numbers of voltages and frames differ, or a voltage is not finite.
     MeasurementError
-        If too few frames or voltages show a line, or the line does not move with the voltage.
+        If too few frames or voltages show a line, or the line does not move with the voltage, or jumps.
     """
     volts = np.asarray(volts, np.float64)
     if volts.ndim != 1 or len(volts) != len(lines):
@@ -185,10 +186,9 @@ def fit_galvo(
     largest = float(np.abs(volts).max(initial=0.0))
     if largest > MAX_VOLTS:
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
-    located = ((v, line) for v, line in zip(volts, lines, strict=True) if line is not None)
-    seen = [(v, line) for v, line in located if line.length_px <= max_chord_px]
+    seen = [(k, line) for k, line in enumerate(lines) if line is not None and line.length_px <= max_chord_px]
     longest = max((line.length_px for _, line in seen), default=0)
-    whole = [(v, line) for v, line in seen if line.length_px >= MIN_CHORD * longest]
+    whole = [(k, line) for k, line in seen if line.length_px >= MIN_CHORD * longest]
     if len(whole) < MIN_LINES:
         raise MeasurementError(
             f"a line is visible in {len(whole)} of {len(lines)} frames, {MIN_LINES} are needed",
@@ -196,7 +196,7 @@ def fit_galvo(
         )
     if column is None:
         column = float(np.median([line.column for _, line in whole]))
-    v = np.array([voltage for voltage, _ in whole])
+    v = volts[frames := np.array([k for k, _ in whole])]
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
     if (different := _different(v)) < MIN_LINES:
@@ -207,6 +207,7 @@ def fit_galvo(
     radius_px = (longest if diameter_px is None else diameter_px) / 2
     bow = _common_bow(v, [line for _, line in whole], column, radius_px)
     rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
+    require_steady(rows, _polynomial(_place(v)), frames)
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
 
     slope = float(theilslopes(rows, v).slope)
