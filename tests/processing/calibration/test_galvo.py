@@ -140,6 +140,13 @@ def test_a_sweep_that_lost_a_frame_is_refused(lost: int, falling: bool) -> None:
     assert fitted(curved, volts).lines == len(ROWS)
 
 
+def test_a_galvo_whose_way_back_lies_beside_the_way_there_lost_no_frame() -> None:
+    there_and_back = np.concatenate([ROWS[::2], ROWS[1::2][::-1]])
+    beside = np.repeat([0.4, -0.4], len(ROWS) // 2) + np.random.default_rng(3).normal(0, 0.05, len(ROWS))
+    found = fitted(there_and_back + beside, 1e-3 * there_and_back)
+    assert found.row(0.15) == pytest.approx(150, abs=0.1)
+
+
 def test_a_bent_galvo_is_detected_and_a_straight_one_is_not_accused() -> None:
     random = np.random.default_rng(3)
     along = np.linspace(-1, 1, ROWS.size)

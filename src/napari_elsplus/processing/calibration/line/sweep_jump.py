@@ -21,6 +21,9 @@ LEFT_OVER: Final = 0.5
 random rigs: 0.87 and more in steady ones, 0.18 at most in those that lost a frame."""
 MIN_JUMP_ROWS: Final = 0.2
 """Smallest jump; chosen: it moves the map by half of it at most, less than a tenth of the paper's slit."""
+MAX_PART: Final = 0.25
+"""Of a step of the sweep, by which a jump differs at most from a whole number of them; chosen: a galvo whose way back
+lies beside the way there, by any other distance, lost no frame: its mean is right."""
 MIN_JUMP_SIGMAS: Final = 4.0
 """The same in standard deviations of what it leaves over; chosen: a single line that is off does not reach it."""
 MIN_SIDE: Final = 4
@@ -42,7 +45,7 @@ def require_steady(rows: Floats, curve: Floats, frames: NDArray[np.intp]) -> Non
     Raises
     ------
     MeasurementError
-        If a straight map with a jump describes the sweep far better than a curved one.
+        If a straight map with a jump by whole steps of the sweep describes it far better than a curved map.
     """
     new = np.flatnonzero(np.any(np.diff(curve, axis=0, prepend=np.inf) != 0, axis=1))  # voltages, with errors in common
     rows, curve, frames = np.add.reduceat(rows, new) / np.diff(new, append=len(rows)), curve[new], frames[new]
@@ -58,8 +61,11 @@ def require_steady(rows: Floats, curve: Floats, frames: NDArray[np.intp]) -> Non
     jump_rows, left_over = after[first] / squares[first], np.square(away).sum() - explained.max()
     of_curve = np.square(rows - curve @ np.linalg.lstsq(curve, rows, rcond=None)[0]).sum()
     sigma_rows = np.sqrt(max(left_over, 0.0) / count)
+    steps = abs(jump_rows) / max(float(np.median(np.abs(np.diff(rows)))), MIN_JUMP_ROWS)
+    if abs(steps - max(round(steps), 1)) > MAX_PART:
+        return
     if left_over < LEFT_OVER * of_curve and abs(jump_rows) > max(MIN_JUMP_ROWS, MIN_JUMP_SIGMAS * sigma_rows):
         raise MeasurementError(
             f"the line jumps by {jump_rows:.2g} rows at frame {frames[first]} of the sweep",
-            "was a frame lost, or did the bundle move? Record the sweep again",
+            "was a frame lost? Record the sweep again",
         )
