@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from math import isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
@@ -19,7 +18,11 @@ from benchmarks.rigs.simulated import simulated_rig
 from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
+from napari_elsplus.processing.tracking.methods import prepared_frames
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
+from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
+from napari_elsplus.processing.tracking.pose_graph.refinement import refine
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import WRONG_PX
@@ -28,12 +31,13 @@ from napari_elsplus.simulation.specimen.textures import draw_fibres
 from napari_elsplus.simulation.specimen.trajectories import HandHeld, Recorded, Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from benchmarks.rigs.simulated import SimulatedRig
     from napari_elsplus.processing.tracking.front_end.grid import Grid
+    from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.simulation.specimen.scenes import Scene
 
 FRAMES: Final = 40
@@ -128,7 +132,7 @@ class Counts(NamedTuple):
         Registrations that the tracker accepted; those that are more than 3 camera px off; those of them between frames
         that constrain their shift.
     errors_px, normalised : numpy.ndarray
-        Error of each accepted registration, camera px, and over its stated standard deviation.
+        Error of each accepted registration, camera px; of each finished position, over its stated standard deviation.
     drift_px, path_px : float
         Error from first to last frame of each segment, and path within them, camera px.
     segments : int
@@ -299,35 +303,47 @@ def tracked(recording: TruePath, grid: Grid) -> Counts:
         tracker.slot()[:] = image
         poses.append(tracker.add())
     poses, links = completed(poses, tracker, recording.images.__getitem__)
-    backwards = {link[:2] for link in links} - {link[:2] for link in tracker.links}
-    true, errors, normalised = recording.positions, [], []
-    right, avoidable = set(), 0
+    frame = prepared_frames(tracker.registrar, recording.images.__getitem__, len(poses))
+    finished = refine(poses, links, PoseGraph(NodeRegistration(tracker.registrar), frame), tracker.model)
+    true, errors, right, avoidable = recording.positions, [], set(), 0
     for earlier, later, moved, *_ in links:
         miss = np.array(moved) - (true[later] - true[earlier])
         errors.append(float(np.hypot(*miss)) * grid.binning)
-        sigma = poses[earlier].sigma if (earlier, later) in backwards else poses[later].sigma
-        if not isnan(sigma):  # one that waited for the next has no standard deviation
-            normalised.append(float(np.hypot(*miss)) / max(sigma, 1e-6))
         if later == earlier + 1 and errors[-1] <= WRONG_PX:
             right.add(earlier)
         avoidable += errors[-1] > WRONG_PX and bool(recording.countable[earlier:later].all())
     places = np.array([(pose.row, pose.col) for pose in poses])
-    good = np.array([pose.state is TrackingState.TRACKED for pose in poses])
-    segment = np.array([pose.segment for pose in poses])
-    same = good[1:] & good[:-1] & (segment[1:] == segment[:-1])
+    segment = np.array([pose.segment if pose.state is TrackingState.TRACKED else -1 for pose in poses])
+    same = (segment[1:] == segment[:-1]) & (segment[1:] >= 0)
     step_error = np.hypot(*(np.diff(places, axis=0) - np.diff(true, axis=0)).T) * grid.binning
     kept = (same & (step_error <= WRONG_PX)) | np.isin(np.arange(len(true) - 1), list(right))
     drift = path = 0.0
-    for number in np.unique(segment[good]):
-        frames = np.flatnonzero(good & (segment == number))
-        first, last = frames[0], frames[-1]
+    for number in np.unique(segment[segment >= 0]):
+        first, last = np.flatnonzero(segment == number)[[0, -1]]
         drift += grid.binning * float(np.hypot(*(places[last] - places[first] - true[last] + true[first])))
         path += grid.binning * float(np.hypot(*np.diff(true[first : last + 1], axis=0).T).sum())
     return Counts(
         int(recording.countable.sum()), int((kept & recording.countable).sum()), len(errors),
-        sum(error > WRONG_PX for error in errors), avoidable, np.array(errors), np.array(normalised), drift, path,
-        len(np.unique(segment[good])),
+        sum(error > WRONG_PX for error in errors), avoidable, np.array(errors), normalised_errors(finished, true),
+        drift, path, len(np.unique(segment[segment >= 0])),
     )  # fmt: skip
+
+
+def normalised_errors(poses: Sequence[Pose], true: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return errors of a finished track over what is stated, of each frame against the one tracked before it.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame.
+    true : numpy.ndarray
+        (T, 2) positions, pixels of the grid.
+    """
+    errors = np.array([pose.at for pose in poses]) - true @ (1, 1j)
+    segment = np.array([pose.segment if pose.state is TrackingState.TRACKED else -1 for pose in poses])
+    each = [np.flatnonzero(segment == number) for number in np.unique(segment[segment >= 0])]
+    sigma = np.array([pose.sigma for pose in poses])
+    return np.concatenate([abs(np.diff(errors[own])) / sigma[own[1:]] for own in each] or [np.zeros(0)])
 
 
 def total(counts: Iterable[Counts]) -> Counts:
@@ -336,9 +352,8 @@ def total(counts: Iterable[Counts]) -> Counts:
     return Counts(
         sum(c.countable for c in every), sum(c.kept for c in every), sum(c.accepted for c in every),
         sum(c.wrong for c in every), sum(c.avoidable for c in every),
-        np.concatenate([c.errors_px for c in every]),
-        np.concatenate([c.normalised for c in every]), sum(c.drift_px for c in every), sum(c.path_px for c in every),
-        sum(c.segments for c in every),
+        np.concatenate([c.errors_px for c in every]), np.concatenate([c.normalised for c in every]),
+        sum(c.drift_px for c in every), sum(c.path_px for c in every), sum(c.segments for c in every),
     )  # fmt: skip
 
 

@@ -36,7 +36,8 @@ class TrackPoint(NamedTuple):
     score : float
         Correlation with the frame that this one was linked to.
     sigma_px : float
-        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
+        Larger axis of the position's uncertainty relative to the frame of the segment that was tracked before, one
+        standard deviation; NaN for its first.
     state : str
         ``tracked``, ``predicted`` or ``lost``.
     """

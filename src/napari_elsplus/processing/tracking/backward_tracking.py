@@ -76,7 +76,7 @@ def completed(
             again.skip(tracker.lost.get(frame, 0))
         found = borne_out(backwards, again.links)
         ahead = {end - 1 - k: pose for k, pose in enumerate(located(backwards, found, shutter))}
-        added = [_forwards(link, end - 1) for link in found]
+        added = [_forwards(link, end - 1, result) for link in found]
         links += _joined(result, {k: pose for k, pose in ahead.items() if pose.state is TrackingState.TRACKED}, added)
     if FIELD * registrar.grid.diameter > JOLTED_READ * shutter.line_periods_per_frame:
         links = without_jolts(links)
@@ -136,8 +136,11 @@ def _timely(pose: Pose) -> Pose:
     return pose._replace(velocity=Velocity(pose.velocity.row, -pose.velocity.col))
 
 
-def _forwards(link: TrackedPair, last: int) -> TrackedPair:
+def _forwards(link: TrackedPair, last: int, poses: Sequence[Pose]) -> TrackedPair:
     """Return a registration of frames tracked upside down and backwards as one of frames upright and forwards.
+
+    Its displacement is that by the velocity of the earlier frame. Where that had been tracked with another one, as
+    before a jolt, the velocity is as uncertain as they differ.
 
     Parameters
     ----------
@@ -145,13 +148,17 @@ def _forwards(link: TrackedPair, last: int) -> TrackedPair:
         By the count of the backward tracker.
     last : int
         Frame that is its first.
+    poses : sequence of Pose
+        Forwards, one for every frame.
     """
     turn, (down, across) = link.registration.turn, link.displacement
     moved = rect(1, -turn) * complex(down, -across)
     earlier, later = last - link.later, last - link.earlier
-    return TrackedPair(
-        earlier, later, Displacement(moved.real, moved.imag), reversed_registration(link.registration), link.periods
-    )
+    found = reversed_registration(link.registration)
+    if poses[earlier].state is TrackingState.TRACKED:
+        apart = np.subtract(_timely(poses[earlier]).velocity, found.velocity)
+        found = found._replace(velocity_variance=found.velocity_variance + float(apart @ apart))
+    return TrackedPair(earlier, later, Displacement(moved.real, moved.imag), found, link.periods)
 
 
 def reversed_registration(link: PairRegistration) -> PairRegistration:

@@ -241,12 +241,12 @@ class RegistrationTracking(FrontEndImages):
             rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
             turned, links = again(registrar, next(rates, 0.0))
             if probe_turns(turned, links, registrar.grid.shutter, tracker.lost):
-                return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model)
+                return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model, tracker.lost)
         if tracker.model is MotionModel.TRANSLATION:
             poses, links = completed(poses, tracker, image)
         else:
             poses, links = again(_WithoutRotation(registrar.grid), None)
-        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame))
+        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), lost=tracker.lost)
 
 
 def prepared_frames(

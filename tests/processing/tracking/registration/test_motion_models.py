@@ -295,15 +295,17 @@ def test_a_probe_that_turns_by_degrees_a_frame_is_one_segment(degrees: float, la
     """Without rotation the second frame hardly fits the first one, and no third one."""
     error, stated = stepwise(Turning(HandHeld(1500.0, seed=2), degrees * INSTRUMENT.optics.frame_rate_hz), "nuclei", 16)
     assert error.max() < largest_px
-    assert np.sqrt(np.mean((error / stated) ** 2)) < 1.0
+    assert np.sqrt(np.mean((error / stated) ** 2) / 2) < 1.0  # of each axis
 
 
 def test_a_rotation_that_sets_in_within_a_frame_shows_in_the_uncertainty() -> None:
     """Rows of that frame are displaced by a turn that those of the frame before have not."""
     turning = Turning(HandHeld(1500.0, seed=2), 2.0 * INSTRUMENT.optics.frame_rate_hz)
     error, stated = stepwise(SetsIn(turning, 12.0 * INSTRUMENT.optics.frame_period_s), "nuclei", 24)
-    assert error.max() > 0.1
-    assert (error / stated).max() < 3
+    assert error.argmax() == stated.argmax() == 11
+    assert error[11] > 0.1
+    assert stated[11] > 3 * np.median(stated)
+    assert (error / stated)[8:].max() < 3
 
 
 def test_a_probe_whose_rotation_sets_in_fast_is_found_again() -> None:

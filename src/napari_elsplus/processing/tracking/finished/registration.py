@@ -129,7 +129,7 @@ class FinishedRegistrar(Registrar):
 class FinishedNodeRegistration(NodeRegistration):
     """Registers nodes that are finished images; neither velocity nor rotation is modelled."""
 
-    sure_odds_nats = 0.0
+    sure_odds_nats, noise_share = 0.0, 1.0
 
     def joins(self, link: PairRegistration, poses: tuple[Pose, Pose], expected: Edge) -> bool:
         """Return True if the odds suffice: the more pairs of different segments there are, the more are needed.

@@ -34,7 +34,8 @@ class Pose(NamedTuple):
     score : float
         Correlation of the overlap with the frame that this one was linked to.
     sigma : float
-        Larger axis of the position's uncertainty relative to that frame, one standard deviation.
+        Larger axis of the position's uncertainty, one standard deviation: while frames come relative to the frame that
+        this one was linked to, in a finished track to the one of its segment that was tracked before.
     state : TrackingState
         Tracked, predicted or lost.
     angle : float

@@ -87,10 +87,12 @@ class PoseGraph:
         Edges that closed a loop or joined segments, so far.
     unsolved : bool
         True if :meth:`solve` will change poses.
+    noise_share : float
+        That of the registration.
     """
 
     def __init__(self, registration: NodeRegistration, view: Callable[[int], PreparedFrame | None]) -> None:
-        self.grid = registration.grid
+        self.grid, self.noise_share = registration.grid, registration.noise_share
         self._registration, self._frame = registration, view
         self._diameter = self.grid.diameter
         self._recognition = PlaceRecognition(self.grid)

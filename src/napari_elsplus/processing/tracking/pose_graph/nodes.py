@@ -10,6 +10,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.motion_prior import MotionPrior
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
+from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX
 from napari_elsplus.processing.tracking.registration.pair_registration import Turn
 
 if TYPE_CHECKING:
@@ -43,8 +44,10 @@ _VELOCITY_SIGMA: Final = 0.5
 """Standard deviation of the velocities of tracked frames, pixels per frame period; chosen, above that of a track."""
 _SEARCHED_PX: Final = 16.0
 """Scale of the prior about the shift of two thumbnails, grid pixels: two of their cells."""
-_FLOOR_PX: Final = 0.01
+FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, grid pixels: what the core pattern leaves."""
+SMOOTHED_PX: Final = (256 / 70) ** 2
+"""Pixels that share one value of the noise; derived: the front end smooths by 1 4 6 4 1 along rows and columns."""
 
 
 class Node(NamedTuple):
@@ -158,9 +161,11 @@ class NodeRegistration:
     ----------
     sure_odds_nats : float
         Odds from which one edge joins segments; below it two edges without a common node must agree.
+    noise_share : float
+        Variance of a finished position by noise over the covariance of its registration, by which that is accepted.
     """
 
-    sure_odds_nats = SURE_ODDS_NATS
+    sure_odds_nats, noise_share = SURE_ODDS_NATS, SMOOTHED_PX / CORRELATED_PX
 
     def __init__(self, registrar: Registrar) -> None:
         self.grid, self._registrar = registrar.grid, registrar
@@ -223,5 +228,5 @@ def edge_covariance(link: PairRegistration, stretch_sigma: float) -> NDArray[np.
     stretch_sigma : float
         Standard deviation of the stretch that the later velocity leaves open.
     """
-    stretched = hypot(link.warp.b * stretch_sigma, _FLOOR_PX)
+    stretched = hypot(link.warp.b * stretch_sigma, FLOOR_PX)
     return link.covariance + stretched**2 * np.eye(2)

@@ -13,10 +13,11 @@ from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.edge import Edge
 from napari_elsplus.processing.tracking.pose_graph.least_squares import least_squares_positions
 from napari_elsplus.processing.tracking.pose_graph.nodes import LINK_STRETCH_PX, KeyframeSelector, edge_covariance
+from napari_elsplus.processing.tracking.pose_graph.uncertainty import with_uncertainties
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
     from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
@@ -34,8 +35,9 @@ _SOLVED_AT: Final = 1.1
 
 
 def refine(
-    poses: Sequence[Pose], links: Sequence[TrackedPair], graph: PoseGraph, model: MotionModel = MotionModel.TRANSLATION
-) -> list[Pose]:
+    poses: Sequence[Pose], links: Sequence[TrackedPair], graph: PoseGraph, model: MotionModel = MotionModel.TRANSLATION,
+    lost: Mapping[int, int] | None = None,
+) -> list[Pose]:  # fmt: skip
     """Return the poses that the pose graph corrects once all nodes are in it: loops closed, segments joined.
 
     Parameters
@@ -48,12 +50,15 @@ def refine(
         Empty.
     model : MotionModel
         Model beside translations.
+    lost : mapping of int to int, optional
+        How many frames were lost before some.
 
     Returns
     -------
     list of Pose
         One for every frame. Segments are counted from 0, the first frame of each at (0, 0) and upright; predicted
-        frames are interpolated between tracked ones, and those after the last of a segment are lost.
+        frames are interpolated between tracked ones, and those after the last of a segment are lost. Uncertainties are
+        those of :func:`~.uncertainty.with_uncertainties`.
     """
     tracked = {k: pose.segment for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
     registered = {link.later: link for link in reversed(links)}  # the first of several, as the tracker's come first
@@ -68,14 +73,13 @@ def refine(
     graph.solve()
     placed = from_origins(graph.corrections.of_poses(range(len(poses)), poses))
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
-    edges = [
-        Edge(a, b, complex(*moved), edge_covariance(link, stretch))
-        for a, b, moved, link, _ in links
-        if tracked.get(a, -1) == tracked.get(b, -2)
-    ]
+    within = [link for link in links if tracked.get(link.earlier, -1) == tracked.get(link.later, -2)]
+    edges = [Edge(a, b, complex(*moved), edge_covariance(link, stretch)) for a, b, moved, link, _ in within]
     at, angle = np.array([pose.at for pose in placed]), np.array([pose.angle for pose in placed])
     at = least_squares_positions([*edges, *graph.loops], at, angle)
-    return interpolate([pose._replace(row=z.real, col=z.imag) for pose, z in zip(placed, at.tolist(), strict=True)])
+    result = interpolate([pose._replace(row=z.real, col=z.imag) for pose, z in zip(placed, at.tolist(), strict=True)])
+    periods = np.cumsum([1 + (lost or {}).get(k, 0) for k in range(len(poses))])
+    return with_uncertainties(result, periods, within, graph)
 
 
 def from_origins(poses: Sequence[Pose]) -> list[Pose]:

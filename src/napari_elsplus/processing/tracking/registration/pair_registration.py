@@ -103,8 +103,9 @@ class PairRegistration(NamedTuple):
     turn_sigma : float
         One standard deviation of the angle; infinite where no rotation was modelled.
     at_half : float
-        Correlation at half resolution, where all frames are high-passed: that of full resolution is lower where frames
-        are high-passed than where they are not.
+        Correlation at half resolution, where all frames are high-passed; at full resolution only some are.
+    evened : bool
+        True if uneven motion within the frames was estimated.
     """
 
     warp: Warp
@@ -117,6 +118,7 @@ class PairRegistration(NamedTuple):
     turn: float = 0.0
     turn_sigma: float = inf
     at_half: float = nan
+    evened: bool = False
 
     @property
     def observed(self) -> bool:
@@ -374,7 +376,7 @@ class Registrar:
         found = align_unevenly(self._halves(earlier, later), motion, link.warp, jerk_sigma)
         if found is None:
             return None
-        warp, link = found[0], link._replace(information=found[1])
+        warp, link = found[0], link._replace(information=found[1], evened=True)
         if hypot(warp.b - link.warp.b, warp.d - link.warp.d) < EXACT_PX:
             return link
         return self.followed(link._replace(warp=warp), motion)
