@@ -210,8 +210,8 @@ class Tracker:
         self._motion, self._turning = self._motion.forgotten(), Turning(self._turning.rate, self._turning.surprise)
         self._key = self._last = origin = _Placed(previous.view, previous.index, previous.period)
         motion = self._widest(here.period - previous.period)
-        waits = self.model is MotionModel.TRANSLATION
-        link = self._link(origin, here, motion, _WAITING_ODDS_NATS if waits else MIN_ODDS_NATS)
+        least = _WAITING_ODDS_NATS if self.model is MotionModel.TRANSLATION else MIN_ODDS_NATS
+        link = self._link(origin, here, motion, least)
         if link is None or not self._place(origin, here, link, motion):
             return None
         if link.observed:

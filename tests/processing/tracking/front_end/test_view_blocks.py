@@ -5,6 +5,7 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK
+from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
 
@@ -27,7 +28,7 @@ def test_every_lit_pixel_is_filled_from_where_its_view_lies(binning: int, turn: 
     side, frame = 60, (400, 700)
     spans = disc(side)
     confocal, residual = shifted(40, 0), shifted(60.3, 350.6, turn, scale)
-    blocks = view_blocks(confocal, residual, binning, spans, frame)
+    blocks = view_blocks(confocal, residual, binning, lit_pixels(*spans), frame)
     rows_of_memory = scratch(side)
     memory = np.full((rows_of_memory.size, 4), np.nan)
     for n in range(len(blocks.places) - AHEAD):
@@ -53,7 +54,8 @@ def test_every_lit_pixel_is_filled_from_where_its_view_lies(binning: int, turn: 
 @pytest.mark.parametrize(("row", "col"), [(0, 0), (0, 30), (139, 0), (139, 30)])
 def test_blocks_read_within_the_frame(row: int, col: int) -> None:
     side, frame = 60, (200, 91)
-    blocks = view_blocks(shifted(139 - row, 30 - col), shifted(row + 0.3, col + 0.3), 1, disc(side), frame)
+    lit = lit_pixels(*disc(side))
+    blocks = view_blocks(shifted(139 - row, 30 - col), shifted(row + 0.3, col + 0.3), 1, lit, frame)
     first, last = blocks.places[:, :2].min(), blocks.places[:, :2].max() + frame[1] + BLOCK
     assert first >= 0
     assert last < frame[0] * frame[1]
@@ -63,4 +65,4 @@ def test_blocks_read_within_the_frame(row: int, col: int) -> None:
 
 def test_a_frame_smaller_than_a_block_is_refused() -> None:
     with pytest.raises(CalibrationError, match="frames of 5 x 6 pixels are too small"):
-        view_blocks(shifted(0, 0), shifted(0, 0), 1, disc(4), (5, 6))
+        view_blocks(shifted(0, 0), shifted(0, 0), 1, lit_pixels(*disc(4)), (5, 6))

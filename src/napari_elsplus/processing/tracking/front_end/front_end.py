@@ -95,14 +95,14 @@ class FrontEnd:
         # where the line has left the bundle while the residual is read haze is left, which stands still
         self.sectioned = replace(grid, seen=seen, line_offset=line_offset_px(calibration) / q if subtracts else 0.0)
         self.grid = grid if seen is None else self.sectioned
-        lit = self.grid.spans(1.0)
+        lit = lit_pixels(*self.grid.spans(1.0))
         # a view of weight zero is taken from where the other one lies
         self._blocks = view_blocks(views[0], views[-1], q, lit, self._frame_shape)
         self._weights = (np.float32(weights[0]), np.float32(weights[1]))
         self._scratch = scratch(grid.side)
         reach = grid.side * q
         self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
-        inside = lit_pixels(*lit).astype(np.float32)
+        inside = lit.astype(np.float32)
         light = _smooth(inside)
         if calibration.flat is not None:
             light = np.maximum(_smooth(inside * self._binned_flat(calibration.flat)), _LOWEST_FLAT * light)

@@ -16,7 +16,6 @@ from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BL
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Columns = NDArray[np.int32]
     Indices = NDArray[np.intp]
     Matrix = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ class ViewBlocks(NamedTuple):
 
 
 def view_blocks(
-    confocal: Matrix, residual: Matrix, binning: int, spans: tuple[Columns, Columns], frame_shape: tuple[int, int]
+    confocal: Matrix, residual: Matrix, binning: int, lit: NDArray[np.bool_], frame_shape: tuple[int, int]
 ) -> ViewBlocks:
     """Return the blocks of a grid.
 
@@ -53,8 +52,8 @@ def view_blocks(
         confocal view is taken at whole pixels.
     binning : int
         Camera pixels per grid pixel in a row.
-    spans : tuple of numpy.ndarray
-        (n,) int32: first lit column of each row, and the one after the last.
+    lit : numpy.ndarray
+        (n, n) bool: pixels of the grid that are filled; of each row those from one column to another.
     frame_shape : tuple of int
         Rows and columns of the frames, in which the lit pixels lie.
 
@@ -63,10 +62,8 @@ def view_blocks(
     CalibrationError
         If the frames have hardly more pixels than a block.
     """
-    first_lit, last_lit = (span.astype(int) for span in spans)
-    side = len(first_lit)
-    rows, cols = np.nonzero((np.arange(side) >= first_lit[:, None]) & (np.arange(side) < last_lit[:, None]))
-    memory = (rows + 2) * scratch(side).shape[1] + BLOCK + cols
+    rows, cols = np.nonzero(lit)
+    memory = (rows + 2) * scratch(len(lit)).shape[1] + BLOCK + cols
     corners = np.stack([_corners(view, binning, rows, cols) for view in (confocal, residual)])
     whole = np.floor(corners)
     elements = (frame_shape[1] * whole[:, 0] + whole[:, 1]).astype(int)

@@ -142,8 +142,8 @@ class Motion:
         if not self._read:
             return 0.0
         if self.known:
-            change = hypot(velocity.row - self.next_velocity.row, velocity.col - self.next_velocity.col)
-            change = max(change, missed_px)
+            expected = self.next_velocity
+            change = max(hypot(velocity.row - expected.row, velocity.col - expected.col), missed_px)
         else:
             change = self._shutter.line_periods_per_frame * hypot(warp.a - 1, warp.s)
         return self._jerk * max(_SPREAD_OF_SURPRISE * change, self.spread)
@@ -198,8 +198,7 @@ class Motion:
         q = self.spread**2
         velocity, variance = (self.velocity, None) if before is None else before
         covariance = _of_random_walk(self.variance, q, frames, variance)
-        at_least = min_share * q
-        cautious = _of_random_walk(at_least, q, frames, variance) if self.variance < at_least else covariance
+        cautious = _of_random_walk(max(self.variance, min_share * q), q, frames, variance)
         rows = self._shutter.line_periods_per_frame
         return MotionPrior(velocity, self.next_velocity, displacement, covariance, cautious, rows)
 
