@@ -151,7 +151,7 @@ def _bin_blocks(
     pixels : tuple of int
         0, 1, ...: as many as there are camera pixels per pixel of the grid in a row.
     places, fractions, slopes : numpy.ndarray, numpy.ndarray, tuple of float32
-        Of :class:`~napari_elsplus.processing.tracking.front_end.view_blocks.ViewBlocks`.
+        Of :class:`~napari_elsplus.processing.tracking.front_end.binning.ViewBlocks`.
     count : int
         Number of blocks.
     weights : tuple of float32

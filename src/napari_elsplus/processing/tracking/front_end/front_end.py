@@ -22,10 +22,9 @@ from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
 from napari_elsplus.processing.tracking.front_end.binned_blocks import CAMERA_KINDS
-from napari_elsplus.processing.tracking.front_end.binning import subtract_views, survey
+from napari_elsplus.processing.tracking.front_end.binning import scratch, subtract_views, survey, view_blocks
 from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX, Grid, lit_pixels
 from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
-from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

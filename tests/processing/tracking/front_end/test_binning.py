@@ -5,8 +5,8 @@ import pytest
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK
+from napari_elsplus.processing.tracking.front_end.binning import scratch, view_blocks
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
-from napari_elsplus.processing.tracking.front_end.view_blocks import scratch, view_blocks
 
 
 def disc(side: int) -> tuple[np.ndarray, np.ndarray]:
