@@ -301,10 +301,9 @@ class Pipeline:
         def image(index: int) -> NDArray[np.float32]:
             return self._corrected(self.image(*raw_pair(index)), index)
 
+        if self._tapers_rim:
+            self.deformation = estimate_deformation(image, self.poses, self.grid)
         self._draw(image, progress)
-        if self._tapers_rim and (found := estimate_deformation(image, self.poses, self.mosaics, self._weights)):
-            self.deformation = found
-            self._draw(image)
 
     def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: ProgressWrapper = iter) -> None:
         """Insert all tracked frames into fresh mosaics."""

@@ -1,9 +1,12 @@
-"""Deformation of tissue between frames: smooth fields that map frames onto the mosaic, where frames show it.
+"""Deformation of tissue between frames: smooth fields that free frames of it, where frames show it.
 
-A probe drags soft tissue along, which then has another shape in each frame. The mean of all frames at their poses has
-the mean shape; a frame's field, a polynomial of third degree in rows and columns, is fitted to it by Gauss-Newton steps
-under a Gaussian prior. The Bayesian information criterion decides whether fields are modelled at all, by the median
-of a few frames: rigid scenes are left as they are.
+A probe drags soft tissue along, which then has another shape in each frame. A frame's field, a polynomial of third
+degree in rows and columns, maps it onto tissue at rest. Of two frames the images show how their fields differ. Like the
+positions of a pose graph, the fields of all frames are solved for at once, by Gauss-Newton steps over pairs of frames:
+those that follow one another, and those that show a place again. Beforehand a field is zero but for chance, so that the
+tissue has its mean shape over time. Shifts are freer than shapes: where tissue is stretched, the same displacement of
+the probe covers less of it. The Bayesian information criterion decides whether fields are modelled at all, by a few
+pairs together: rigid scenes are left as they are.
 
 References
 ----------
@@ -13,15 +16,17 @@ Szeliski and Coughlan, Int. J. Comput. Vis. 22, 199 (1997), doi:10.1023/A:100799
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import pairwise
 from math import ceil, log
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 from numpy.polynomial import legendre
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
@@ -32,97 +37,179 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from napari_elsplus.processing.mosaicing.tiles import TiledCanvas
-
     Floats = NDArray[np.float64]
 
 DEGREE: Final = 3
 """Of the polynomials; chosen: a wave as long as the field is followed."""
-COEFFICIENT_SIGMA_PX: Final = 1.0
-"""Prior standard deviation of each coefficient, pixels of the grid; chosen: a strain of 3 % makes 1 to 3."""
-MAX_TESTED: Final = 5
-"""Frames that decide whether fields are modelled, spread over the track; chosen. Three decide where they agree: rigid
-scenes lose 60 nats by a field."""
-ROUNDS: Final = 4
-"""Of fitting fields and averaging the frames freed of them; chosen: with two, mosaics of six recordings correlate with
-the tissue at rest by up to 0.002 less; a prior about the fields of the neighbouring frames adds at most 0.001."""
-_SAMPLES_ACROSS: Final = 120
-"""Pixels of the field that are compared, along a diameter; chosen: half of those of the grid."""
-_TESTED_ACROSS: Final = 42
-"""The same where it is tested whether tissue deforms; measured: in 75 frames of the tests' scenes under strains of 0 to
-3 % what a field gains differs by up to 15 nats from that with twice the points, and never in its sign."""
+COEFFICIENT_SIGMA_PX: Final = 0.5
+SHIFT_SIGMA_PX: Final = 10.0
+"""Prior standard deviations of the coefficients, and of those of degree 0, pixels of the grid; chosen on six recordings
+under strains of 3 %, whose mosaics correlate with the tissue at rest by 0.97 in the mean, as with half or twice the
+former and with 3 or 30 for the latter; by 0.96 with 1."""
+MAX_TESTED: Final = 9
+"""Pairs that decide whether fields are modelled, spread over the track; chosen."""
+ROUNDS: Final = (False, True, True)
+"""Whether each step compares frames that show a place again, too; chosen: these lie within the texture's size of where
+they are expected once the fields along the track are known. One step more of either kind adds at most 0.002."""
+TESTED_DIAMETERS: Final = 0.25
+"""Distance of the frames that are tested, in diameters; chosen: tissue has deformed by then, and most is in common."""
+REACH_DIAMETERS: Final = 0.45
+AWAY_DIAMETERS: Final = 1.0
+"""Distance within which a place is shown again, and length of the path since, in diameters; as in the pose graph."""
+_EVERY: Final = 2
+"""Every how many frames a place that is shown again is sought; chosen."""
+_MIN_SHARED: Final = 0.2
+_MIN_CORRELATION: Final = 0.3
+"""Part of the field that two frames have in common, and their correlation, from which they are compared; chosen."""
+_SAMPLES_ACROSS: Final = 80
+"""Pixels of the field that are compared, along a diameter; chosen: a third of those of the grid."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
 _REDUCED_SIGMA_PX: Final = 2.0
 """The same on the reduced image on which it is computed; chosen: far from its pixels' size."""
 _MARGIN: Final = 0.96
 """Part of the field that is compared, within which slopes exist."""
+_TOLERANCE: Final = 1e-3
+"""Relative residual of the equations of a step; chosen: the next step starts from what is left."""
+_MAX_HELD: Final = 64
+"""Images that are held; chosen, others are made again."""
 
-_PIXELS: Final = np.eye(2)[:, :, None]
-"""A pixel down, and one to the right, each (2, 1)."""
+_AROUND: Final = np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])[:, :, None]
+"""A pixel, and those below, above, to the right and to the left of it, (2, 5, 1)."""
 
 
 class Deformation:
-    """Fields of frames: fitted to a mosaic, and undone.
+    """Fields of frames: fitted to pairs of frames, and undone.
 
     Parameters
     ----------
     grid : Grid
         The frames' grid.
-    samples_across : int
-        Pixels of the field that are compared, along a diameter.
     """
 
-    def __init__(self, grid: Grid, samples_across: int = _SAMPLES_ACROSS) -> None:
+    def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._step = max(1, round(FIELD * grid.diameter / samples_across))
+        self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
         self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
         self._radius = 0.5 * FIELD * grid.diameter
         points = self._points(self._step)
-        self._samples = points[:, np.hypot(*points) < _MARGIN * self._radius]
-        self._basis = self._terms(self._samples)
-        values = float(self._step**2 * self._samples.shape[1] / CORRELATED_PX)
-        self._values, self._penalty = values, len(self._basis) * log(values)
+        self._samples = points[:, self._within(points)]
+        self._prior = np.full((2, len(self._terms(np.zeros((2, 1))))), COEFFICIENT_SIGMA_PX**-2)
+        self._prior[:, 0] = SHIFT_SIGMA_PX**-2
         self._fields: dict[int, Floats] = {}
 
-    def fit(self, index: int, image: NDArray[np.float32], pose: Pose, mosaic: Mosaic) -> float:
-        """Fit a frame's field by one step from where it is; return what that gains by the information criterion, nats.
+    def compare(
+        self, images: tuple[NDArray[np.float32], NDArray[np.float32]], frames: tuple[int, int], poses: tuple[Pose, Pose]
+    ) -> tuple[Floats, Floats, float] | None:
+        """Return the normal equations of the fields of two frames, and how many values they rest on; None if unlike.
 
         Parameters
         ----------
-        index : int
-            Of the frame.
-        image : numpy.ndarray
-            (side, side) float32.
-        pose : Pose
-            Of the frame in the mosaic.
-        mosaic : Mosaic
-            With the frame's surroundings drawn.
+        images : tuple of numpy.ndarray
+            (side, side) float32, of both.
+        frames : tuple of int
+            Their indices.
+        poses : tuple of Pose
+            In one mosaic.
+
+        Returns
+        -------
+        numpy.ndarray
+            (2 m, 2 m) information on the m coefficients of each field, those of rows before those of columns.
+        numpy.ndarray
+            (2 m,) its product with the step to the solution.
+        float
+            Number of independent values, to which the squared residuals add up before it in units of the noise.
         """
-        field = self._fields.setdefault(index, np.zeros((2, len(self._basis))))
-        matrix = turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
-        extent = mosaic.extent_of(pose).grown(2)
-        shown, _ = mosaic.read(extent)
-        at = matrix @ self._samples + np.array([[pose.row - extent.top], [pose.col - extent.left]])
-        around = np.stack([at, *(at + side * pixel for pixel in _PIXELS for side in (1, -1))], axis=1)
-        expected, below, above, right, left = self._high_passed(shown, around)
-        slopes = np.array([below - above, right - left]) / 2
-        moved = self._samples + np.einsum("ij,jk->ik", field, self._basis) + np.reshape(self._grid.centre, (2, 1))
-        seen = self._high_passed(image, moved)
-        energy = float(expected @ expected)
-        if not energy > 0:
-            return 0.0
-        gain = float(seen @ expected) / energy
+        first, second = (
+            turned_by(pose.angle) @ unsheared(pose.velocity, self._grid.shutter.line_periods_per_frame)
+            for pose in poses
+        )
+        apart = np.array([[poses[0].row - poses[1].row], [poses[0].col - poses[1].col]])
+        here, there = self._samples, np.linalg.solve(second, first @ self._samples + apart)
+        shared = self._within(there)
+        here, there = here[:, shared], there[:, shared]
+        if here.shape[1] < _MIN_SHARED * self._samples.shape[1]:
+            return None
+        around = [self._seen(frames[0], images[0], here + step) for step in _AROUND.swapaxes(0, 1)]
+        expected, below, above, right, left = around
+        seen = self._seen(frames[1], images[1], there)
+        both, energy = float(seen @ expected), float(expected @ expected)
+        if not both > _MIN_CORRELATION * (energy * float(seen @ seen)) ** 0.5:
+            return None
+        gain = both / energy
         miss = seen - gain * expected
-        design = (gain * (matrix.T @ slopes)[:, None] * self._basis).reshape(field.size, -1)
-        noise = float(miss @ miss) / self._values
+        slopes = gain / 2 * np.array([below - above, right - left])
+        design = np.concatenate([slopes[:, None] * self._terms(at) for at in (here, there)])
+        design[:2] *= -1
+        design = design.reshape(-1, len(miss))
+        values = float(self._step**2 * len(miss) / CORRELATED_PX)
+        noise = float(miss @ miss) / values
         # without a BLAS: for so little its threads wait for each other, a hundred times as long on a busy computer
-        normal = cv2.mulTransposed(design, aTa=False) / noise + np.eye(field.size) / COEFFICIENT_SIGMA_PX**2
-        pull = np.einsum("ik,k->i", design, miss) / noise + field.ravel() / COEFFICIENT_SIGMA_PX**2
-        step = np.linalg.solve(normal, pull)
-        left = miss - np.einsum("i,ik->k", step, design)
-        self._fields[index] = field - step.reshape(field.shape)
-        return 0.5 * self._values * log(float(miss @ miss) / float(left @ left)) - self._penalty
+        return cv2.mulTransposed(design, aTa=False) / noise, -np.einsum("ik,k->i", design, miss) / noise, values
+
+    def gain(self, normal: Floats, pull: Floats, values: float) -> float:
+        """Return what a field of the second frame gains over motion of the probe by the information criterion, nats.
+
+        Motion displaces whole rows, however uneven it is.
+
+        Parameters
+        ----------
+        normal, pull, values
+            As of :meth:`compare`.
+        """
+        size = self._prior.size
+        normal, pull = normal[size:, size:], pull[size:]
+
+        def left(some: NDArray[np.int64]) -> float:
+            """Return the squared residuals that some coefficients leave."""
+            part = normal[np.ix_(some, some)]
+            step = np.linalg.solve(part + np.diag(self._prior.ravel()[some]), pull[some])
+            return float(values - 2 * step @ pull[some] + step @ part @ step)
+
+        every = np.arange(size)
+        moved = every[np.tile(_powers()[1] == 0, 2)]
+        return 0.5 * (values * log(left(moved) / left(every)) - (size - len(moved)) * log(values))
+
+    def solve(
+        self, image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], pairs: Sequence[tuple[int, int]]
+    ) -> None:
+        """Fit the fields of all frames of a track by one step from where they are.
+
+        Parameters
+        ----------
+        image : callable
+            Returns the image (side, side) of a frame by its index.
+        poses : sequence of Pose
+            Of all frames.
+        pairs : sequence of tuple of int
+            Indices of frames that are compared, the first of each before the second.
+        """
+        frames = sorted({frame for pair in pairs for frame in pair})
+        blocks: dict[tuple[int, int], Floats] = {}
+        prior, pull = np.diag(self._prior.ravel()), np.zeros((len(frames), self._prior.size))
+        number = {frame: k for k, frame in enumerate(frames)}
+        for frame, k in number.items():
+            blocks[k, k] = prior
+            pull[k] = -(self._prior * self._field(frame)).ravel()
+        for pair in pairs:
+            first, last = pair
+            found = self.compare((image(first), image(last)), pair, (poses[first], poses[last]))
+            if found is None:
+                continue
+            normal, pulled, _ = found
+            for i, rows in zip(pair, np.split(normal, 2), strict=True):
+                for j, block in zip(pair, np.split(rows, 2, axis=1), strict=True):
+                    blocks[number[i], number[j]] = blocks.get((number[i], number[j]), 0.0) + block
+            for i, part in zip(pair, np.split(pulled, 2), strict=True):
+                pull[number[i]] += part
+        matrix = _assembled(blocks, len(frames))
+        # frames that follow one another are solved for exactly, and what shows a place again is few
+        along = splu(_assembled({at: blocks[at] for at in blocks if abs(at[0] - at[1]) < 2}, len(frames)).tocsc())
+        inverse = LinearOperator(matrix.shape, along.solve)
+        steps, _ = cg(matrix, pull.ravel(), rtol=_TOLERANCE, M=inverse)
+        for frame, step in zip(frames, steps.reshape(len(frames), *self._prior.shape), strict=True):
+            self._fields[frame] = self._field(frame) + step
 
     def undone(self, index: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the image of a frame as it would be without its field.
@@ -165,6 +252,19 @@ class Deformation:
         down, across = (np.arange(0, self._grid.side, step) - middle for middle in self._grid.centre)
         return np.stack(np.meshgrid(down, across, indexing="ij"))
 
+    def _field(self, index: int) -> Floats:
+        """Return the coefficients of a frame's field, (2, m); 0 before they are fitted."""
+        return self._fields.get(index, np.zeros(self._prior.shape))
+
+    def _within(self, points: Floats) -> NDArray[np.bool_]:
+        """Return which points (2, ...) from the field's centre are compared."""
+        return np.asarray(np.hypot(*points) < _MARGIN * self._radius)
+
+    def _seen(self, index: int, image: NDArray[np.float32], at: Floats) -> Floats:
+        """Return what a frame freed of its field shows at points (2, n) from the centre, without blurred light."""
+        moved = at + np.einsum("ij,jk->ik", self._field(index), self._terms(at))
+        return self._high_passed(image, moved + np.reshape(self._grid.centre, (2, 1)))
+
     def _terms(self, points: Floats) -> Floats:
         return legendre_terms(np.clip(points / self._radius, -1.1, 1.1))
 
@@ -182,10 +282,7 @@ class Deformation:
 
 
 def estimate_deformation(
-    image: Callable[[int], NDArray[np.float32]],
-    poses: Sequence[Pose],
-    mosaics: Mapping[int, TiledCanvas],
-    weights: NDArray[np.float32],
+    image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid
 ) -> Deformation | None:
     """Estimate the deformation of the tissue in all tracked frames; None where the scene is rigid.
 
@@ -195,33 +292,57 @@ def estimate_deformation(
         Returns the image (side, side) of a frame by its index, valid until the next call.
     poses : sequence of Pose
         Final poses of all frames.
-    mosaics : mapping of int to TiledCanvas
-        Mosaics of the frames as they are, by segment; those into which images were not inserted are left out.
-    weights : numpy.ndarray
-        (side, side) weight of each pixel of a frame in the mean.
+    grid : Grid
+        The frames' grid.
     """
-    drawn = {segment: mosaic for segment, mosaic in mosaics.items() if isinstance(mosaic, Mosaic)}
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED and pose.segment in drawn]
-    if not tracked:
+    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
+    deformation, tested = Deformation(grid), _tested_pairs(poses, tracked, grid.diameter)
+
+    @lru_cache(_MAX_HELD)
+    def held(index: int) -> NDArray[np.float32]:
+        return image(index).copy()
+
+    compared = (deformation.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
+    if sum(deformation.gain(*found) for found in compared if found is not None) <= 0:
         return None
-    grid = drawn[poses[tracked[0]].segment].grid
-    deformation = Deformation(grid, _TESTED_ACROSS)
-    tested = tracked[:: ceil(len(tracked) / MAX_TESTED)]
-    # of the frames of a jerk some are distorted by uneven motion: more than half of all must need a field
-    rigid = 0
-    for k in tested:
-        rigid += deformation.fit(k, image(k), poses[k], drawn[poses[k].segment]) <= 0
-        if 2 * rigid >= len(tested):
-            return None
-    deformation = Deformation(grid)
-    for _ in range(ROUNDS):
-        means = {segment: Mosaic(grid, Insertion.FEATHERED, weights=weights) for segment in drawn}
-        for k in tracked:
-            pose, undone = poses[k], deformation.undone(k, image(k))
-            means[pose.segment].insert(undone, pose.row, pose.col, pose.velocity, pose.angle)
-        for k in tracked:
-            deformation.fit(k, image(k), poses[k], means[poses[k].segment])
+    along = [(a, b) for a, b in pairwise(tracked) if poses[a].segment == poses[b].segment]
+    again = _revisits(poses, tracked, grid.diameter)
+    for whole in ROUNDS:
+        deformation.solve(held, poses, along + again if whole else along)
     return deformation
+
+
+def _tested_pairs(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
+    """Return a few pairs of `tracked` frames, each with the first that is some way off, or the last of its segment."""
+    pairs = []
+    for k in tracked[:: ceil(len(tracked) / MAX_TESTED) or 1]:
+        later = [j for j in tracked if j > k and poses[j].segment == poses[k].segment]
+        away = (j for j in later if abs(poses[j].at - poses[k].at) > TESTED_DIAMETERS * diameter)
+        if later:
+            pairs.append((k, next(away, later[-1])))
+    return pairs
+
+
+def _revisits(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
+    """Return pairs of `tracked` frames that show the same place far apart along the path: the nearest to every few."""
+    at, segments = np.array([poses[k].at for k in tracked]), np.array([poses[k].segment for k in tracked])
+    gone, pairs = np.cumsum(abs(np.diff(at, prepend=at[0]))), []
+    for k in range(0, len(tracked), _EVERY):
+        distance = abs(at[:k] - at[k])
+        near = (distance < REACH_DIAMETERS * diameter) & (gone[k] - gone[:k] > AWAY_DIAMETERS * diameter)
+        near &= segments[:k] == segments[k]
+        if near.any():
+            pairs.append((tracked[int(np.argmin(np.where(near, distance, np.inf)))], tracked[k]))
+    return pairs
+
+
+def _assembled(blocks: Mapping[tuple[int, int], Floats], count: int) -> sparse.bsr_array:
+    """Return the sparse matrix of square blocks, given by their row and column among `count`."""
+    places = sorted(blocks)
+    rows, cols = np.array(places).T
+    data = np.array([blocks[at] for at in places])
+    side = count * data.shape[-1]
+    return sparse.bsr_array((data, cols, np.searchsorted(rows, np.arange(count + 1))), shape=(side, side))
 
 
 def legendre_terms(points: Floats) -> Floats:
@@ -233,7 +354,13 @@ def legendre_terms(points: Floats) -> Floats:
         (2, ...) rows and columns, from -1 to 1 across the field.
     """
     down, across = (np.moveaxis(legendre.legvander(axis, DEGREE), -1, 0) for axis in points)
-    return np.array([down[i] * across[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
+    of_rows, of_cols = _powers()
+    return np.asarray(down[of_rows] * across[of_cols], np.float64)
+
+
+def _powers() -> NDArray[np.int64]:
+    """Return the degrees of the terms in rows and in columns, (2, terms)."""
+    return np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]).T
 
 
 def _sampled(images: NDArray[Any], at: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
