@@ -281,11 +281,9 @@ class Pipeline:
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
 
     def finish(
-        self,
-        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: ProgressWrapper = iter,
+        self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]], progress: ProgressWrapper = iter
     ) -> None:
-        """Refine all positions (:meth:`refine`), insert all frames into fresh mosaics, and undo deformation.
+        """Refine all positions, and insert all frames into fresh mosaics, freed of uneven light and of deformation.
 
         Parameters
         ----------
@@ -293,6 +291,23 @@ class Pipeline:
             As in :meth:`refine`.
         progress : callable
             Wraps the indices of the frames that are inserted; a progress bar, for instance.
+        """
+        self._draw(self.settle(raw_pair), progress)
+
+    def settle(
+        self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]
+    ) -> Callable[[int], NDArray[np.float32]]:
+        """Refine all positions (:meth:`refine`), and estimate the light of the laser line and the tissue's deformation.
+
+        Parameters
+        ----------
+        raw_pair : callable
+            As in :meth:`refine`.
+
+        Returns
+        -------
+        callable
+            Returns the image of a frame (side, side), freed of both, by its index.
         """
         self.refine(raw_pair)
         self.deformation = None
@@ -303,7 +318,7 @@ class Pipeline:
 
         if self._tapers_rim:
             self.deformation = estimate_deformation(image, self.poses, self.grid)
-        self._draw(image, progress)
+        return image
 
     def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: ProgressWrapper = iter) -> None:
         """Insert all tracked frames into fresh mosaics."""

@@ -63,6 +63,8 @@ _MIN_CORRELATION: Final = 0.3
 """Part of the field that two frames have in common, and their correlation, from which they are compared; chosen."""
 _SAMPLES_ACROSS: Final = 80
 """Pixels of the field that are compared, along a diameter; chosen: a third of those of the grid."""
+_TESTED_ACROSS: Final = 42
+"""The same where it is tested whether tissue deforms; chosen: half of that."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
 _REDUCED_SIGMA_PX: Final = 2.0
@@ -85,11 +87,13 @@ class Deformation:
     ----------
     grid : Grid
         The frames' grid.
+    samples_across : int
+        Pixels of the field that are compared, along a diameter.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, samples_across: int = _SAMPLES_ACROSS) -> None:
         self._grid = grid
-        self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
+        self._step = max(1, round(FIELD * grid.diameter / samples_across))
         self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
         self._radius = 0.5 * FIELD * grid.diameter
         points = self._points(self._step)
@@ -131,16 +135,17 @@ class Deformation:
         here, there = here[:, shared], there[:, shared]
         if here.shape[1] < _MIN_SHARED * self._samples.shape[1]:
             return None
-        around = [self._seen(frames[0], images[0], here + step) for step in _AROUND.swapaxes(0, 1)]
-        expected, below, above, right, left = around
-        seen = self._seen(frames[1], images[1], there)
+        of_here, of_there = self._terms(here), self._terms(there)
+        around = self._moved(frames[0], here, of_here)[:, None] + _AROUND
+        expected, below, above, right, left = self._high_passed(images[0], around)
+        seen = self._high_passed(images[1], self._moved(frames[1], there, of_there))
         both, energy = float(seen @ expected), float(expected @ expected)
         if not both > _MIN_CORRELATION * (energy * float(seen @ seen)) ** 0.5:
             return None
         gain = both / energy
         miss = seen - gain * expected
         slopes = gain / 2 * np.array([below - above, right - left])
-        design = np.concatenate([slopes[:, None] * self._terms(at) for at in (here, there)])
+        design = np.concatenate([slopes[:, None] * terms for terms in (of_here, of_there)])
         design[:2] *= -1
         design = design.reshape(-1, len(miss))
         values = float(self._step**2 * len(miss) / CORRELATED_PX)
@@ -260,10 +265,10 @@ class Deformation:
         """Return which points (2, ...) from the field's centre are compared."""
         return np.asarray(np.hypot(*points) < _MARGIN * self._radius)
 
-    def _seen(self, index: int, image: NDArray[np.float32], at: Floats) -> Floats:
-        """Return what a frame freed of its field shows at points (2, n) from the centre, without blurred light."""
-        moved = at + np.einsum("ij,jk->ik", self._field(index), self._terms(at))
-        return self._high_passed(image, moved + np.reshape(self._grid.centre, (2, 1)))
+    def _moved(self, index: int, at: Floats, terms: Floats) -> Floats:
+        """Return where a frame shows what lies at points (2, n) from the centre, freed of its field; `terms` there."""
+        moved = np.einsum("ij,jk->ik", self._field(index), terms)
+        return np.asarray(at + moved + np.reshape(self._grid.centre, (2, 1)))
 
     def _terms(self, points: Floats) -> Floats:
         return legendre_terms(np.clip(points / self._radius, -1.1, 1.1))
@@ -296,15 +301,16 @@ def estimate_deformation(
         The frames' grid.
     """
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
-    deformation, tested = Deformation(grid), _tested_pairs(poses, tracked, grid.diameter)
+    tested, test = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid, _TESTED_ACROSS)
 
     @lru_cache(_MAX_HELD)
     def held(index: int) -> NDArray[np.float32]:
         return image(index).copy()
 
-    compared = (deformation.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
-    if sum(deformation.gain(*found) for found in compared if found is not None) <= 0:
+    compared = (test.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
+    if sum(test.gain(*found) for found in compared if found is not None) <= 0:
         return None
+    deformation = Deformation(grid)
     along = [(a, b) for a, b in pairwise(tracked) if poses[a].segment == poses[b].segment]
     again = _revisits(poses, tracked, grid.diameter)
     for whole in ROUNDS:

@@ -100,7 +100,7 @@ class FinePipeline(Pipeline):
         """Do what :meth:`Pipeline.finish` does with the images that are tracked, and insert the finer ones."""
         tracked = self._new_tracked()
         tracked.poses, tracked.rows = self.poses, self.rows
-        tracked.finish(raw_pair)
+        tracked.settle(raw_pair)
         self.poses, self.rows = tracked.poses, tracked.rows
         self.line_light, self.deformation = tracked.line_light, tracked.deformation
         self._draw(lambda index: self._corrected(self._fine_image(*raw_pair(index)), index), progress)
