@@ -61,10 +61,9 @@ _EVERY: Final = 2
 _MIN_SHARED: Final = 0.2
 _MIN_CORRELATION: Final = 0.3
 """Part of the field that two frames have in common, and their correlation, from which they are compared; chosen."""
-_SAMPLES_ACROSS: Final = 80
-"""Pixels of the field that are compared, along a diameter; chosen: a third of those of the grid."""
-_TESTED_ACROSS: Final = 42
-"""The same where it is tested whether tissue deforms; chosen: half of that."""
+_SAMPLES_ACROSS: Final = 60
+"""Pixels of the field that are compared, along a diameter; chosen: a quarter of those of the grid, each with less than
+one independent value."""
 _HIGH_PASS_DIAMETERS: Final = 1 / 30
 """Standard deviation of the Gaussian that is subtracted, as that of the registration: haze does not move."""
 _REDUCED_SIGMA_PX: Final = 2.0
@@ -87,13 +86,11 @@ class Deformation:
     ----------
     grid : Grid
         The frames' grid.
-    samples_across : int
-        Pixels of the field that are compared, along a diameter.
     """
 
-    def __init__(self, grid: Grid, samples_across: int = _SAMPLES_ACROSS) -> None:
+    def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._step = max(1, round(FIELD * grid.diameter / samples_across))
+        self._step = max(1, round(FIELD * grid.diameter / _SAMPLES_ACROSS))
         self._high_pass_px = _HIGH_PASS_DIAMETERS * grid.diameter
         self._radius = 0.5 * FIELD * grid.diameter
         points = self._points(self._step)
@@ -301,16 +298,15 @@ def estimate_deformation(
         The frames' grid.
     """
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
-    tested, test = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid, _TESTED_ACROSS)
+    tested, deformation = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid)
 
     @lru_cache(_MAX_HELD)
     def held(index: int) -> NDArray[np.float32]:
         return image(index).copy()
 
-    compared = (test.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
-    if sum(test.gain(*found) for found in compared if found is not None) <= 0:
+    compared = (deformation.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
+    if sum(deformation.gain(*found) for found in compared if found is not None) <= 0:
         return None
-    deformation = Deformation(grid)
     along = [(a, b) for a, b in pairwise(tracked) if poses[a].segment == poses[b].segment]
     again = _revisits(poses, tracked, grid.diameter)
     for whole in ROUNDS:
