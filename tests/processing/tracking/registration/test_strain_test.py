@@ -9,7 +9,7 @@ from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.methods import RegistrationTracking
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -63,7 +63,7 @@ class OfImages(RegistrationTracking):
     """Tracks images as they are."""
 
     def __init__(self) -> None:
-        self._tracker = Tracker(GRID)
+        self._tracker = Tracker(Registrar(GRID))
 
 
 def test_tissue_that_waves_shear_is_not_taken_for_a_turning_probe() -> None:
