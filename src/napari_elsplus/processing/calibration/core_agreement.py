@@ -224,14 +224,18 @@ def agreement_note(frames: Frames, calibration: Calibration) -> str:
     Raises
     ------
     CalibrationError
-        If they are frames of another rig (:func:`require_agreement`) or bit depth, or the calibration does not fit.
+        If they are frames of another rig (:func:`require_agreement`) or bit depth.
     """
     require_agreement(frames, calibration)
     note = grey_level_note(frames, calibration)
-    if calibration.bundle is None or calibration.flat is None or not len(frames):
+    if not len(frames):
         return note
     some = [np.asarray(frames[number]) for number in averaged_frames(len(frames))]
-    moved = CoreAgreement(calibration, some[0].shape).displacement(some)
+    try:
+        cores = CoreAgreement(calibration, some[0].shape)
+    except CalibrationError:  # without bundle views and a flat field of them there are no cores to compare
+        return note
+    moved = cores.displacement(some)
     return "; ".join(filter(None, (note, "" if moved is None else str(moved))))
 
 
