@@ -288,18 +288,19 @@ class CoreMatcher:
         """
         return float(np.sqrt(np.square(displacement @ self.terms[:, self.inside]).sum(axis=0).mean()))
 
-    def left_over_px(self, full: CoreFit, coefficients: Floats) -> float:
-        """Return how far a map departs from the fullest one along a row or column, at the rim, beyond chance.
+    def left_over_px(self, full: CoreFit, fit: CoreFit) -> float:
+        """Return how far a fit departs from the fullest one along a row or column, at the rim, beyond chance.
 
         Parameters
         ----------
         full : CoreFit
-            The fullest model.
-        coefficients : numpy.ndarray
-            (2, 10): the map.
+            Fit of the fullest model.
+        fit : CoreFit
+            Fit of a model that it contains: chance is by how much the variance of the fullest exceeds that of this one.
         """
-        departure = np.square((full.coefficients - coefficients) @ self.rim).mean()
-        return float(np.sqrt(max(departure - 2 * full.uncertainty_px(self.rim) ** 2, 0.0)))
+        departure = np.square((full.coefficients - fit.coefficients) @ self.rim).mean()
+        chance = full.uncertainty_px(self.rim) ** 2 - fit.uncertainty_px(self.rim) ** 2
+        return float(np.sqrt(max(departure - max(chance, 0.0), 0.0)))
 
 
 def _nearest(displacement: Floats, moves: Floats, terms: Floats) -> Floats:

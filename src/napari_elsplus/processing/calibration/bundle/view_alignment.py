@@ -21,11 +21,6 @@ from napari_elsplus.processing.calibration.bundle.core_matching import (
     DifferentCoresError,
     UnresolvedCoresError,
 )
-from napari_elsplus.processing.calibration.bundle.distortion_evidence import (
-    MIN_DISTORTION_PX,
-    TileShifts,
-    distortion_evidence,
-)
 from napari_elsplus.processing.calibration.bundle.gain import measure_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc
 from napari_elsplus.processing.calibration.bundle.view_maps import DISTORTED, UNDISTORTED, ViewModel, affine_map
@@ -50,6 +45,9 @@ CERTAIN: Final = 0.95
 """Correlation of the cores above which an alignment is correct everywhere; chosen: of well lit cores it is 0.99."""
 MAX_UNCERTAINTY_PX: Final = 1.0
 """Of a fitted map at the rim, above which it follows no cores; chosen: of dim frames it is a tenth."""
+MIN_DISTORTION_PX: Final = 0.02
+"""Root mean square over the disc below which distortion is part of the uncertainty; chosen: it adds a tenth of the
+alignment error of clean views."""
 MIDDLE: Final = 0.45
 """Part of the radius that even strong distortion leaves aligned; chosen."""
 ROTATION_DEG: Final = 0.3
@@ -233,18 +231,31 @@ class _Views:
 
 
 def _core_alignment(views: _Views, affine: CoreFit) -> Alignment:
-    """Return the alignment by the cores, from an affine fit to them.
+    """Return the alignment by the model with the lowest criterion, from an affine fit to the cores.
 
     Raises
     ------
     MeasurementError
-        A DifferentCoresError if they do not match.
+        If the views do not show the same cores under any of them; a DifferentCoresError if the cores do not match.
     """
+    matcher, full = views.matcher, affine
     if affine.correlation > MIN_CLOSE:
-        evidence = distortion_evidence(TileShifts.left_over(views.matcher, affine), views.matcher.radius_px)
-        if not evidence.needs_distortion:
-            return _undistorted_alignment(views, affine, evidence.left_over_px)
-    return _distorted_alignment(views, affine)
+        full = matcher.fit(affine.coefficients, ViewModel.CUBIC)
+    if full.correlation < CERTAIN:
+        # Where an affine map is off by half a core, a fit that starts from it slips by whole ones.
+        grown = matcher.fit(_grown(matcher), ViewModel.CUBIC)
+        full = grown if full is affine or grown.correlation > full.correlation else full
+    evidence = _evidence(full, DISTORTED)
+    beyond_px = matcher.rms_px(full.coefficients - affine_map(matcher.motion(full.coefficients), matcher.radius_px))
+    containing = best = max(affine, full, key=lambda fit: fit.correlation)
+    if best is affine or evidence[ViewModel.AFFINE] == 0 or beyond_px < MIN_DISTORTION_PX:
+        containing = matcher.fit(best.coefficients, ViewModel.AFFINE)
+        evidence = _evidence(containing, UNDISTORTED)
+    fit = _best_fit(matcher, containing, evidence)
+    _require_same_cores(matcher, fit, full)
+    if fit.uncertainty_px(matcher.rim) > MAX_UNCERTAINTY_PX:
+        raise _other_cores(fit.correlation)
+    return _alignment(views, fit, evidence, matcher.left_over_px(full, fit))
 
 
 def _centre_alignment(views: _Views, refusal: str) -> Alignment:
@@ -274,50 +285,6 @@ def _centre_alignment(views: _Views, refusal: str) -> Alignment:
 def _affine_fit(matcher: CoreMatcher, rotation_deg: float) -> CoreFit:
     """Return the affine fit within a rotation."""
     return matcher.fit(matcher.start(rotation_deg=rotation_deg), ViewModel.AFFINE)
-
-
-def _undistorted_alignment(views: _Views, affine: CoreFit, left_over_px: float) -> Alignment:
-    """Return the alignment by the simplest sufficient part of an affine fit; distortion left over is uncertainty.
-
-    Raises
-    ------
-    DifferentCoresError
-        If the cores do not determine it.
-    """
-    evidence = _evidence(affine, UNDISTORTED)
-    fit = _best_fit(views.matcher, affine, evidence)
-    if fit.uncertainty_px(views.matcher.rim) > MAX_UNCERTAINTY_PX:
-        raise _other_cores(fit.correlation)
-    return _alignment(views, fit, evidence, left_over_px)
-
-
-def _distorted_alignment(views: _Views, affine: CoreFit) -> Alignment:
-    """Return the alignment by the model with the lowest criterion, those with distortion among them.
-
-    Raises
-    ------
-    MeasurementError
-        If the views do not show the same cores under any of them.
-    """
-    matcher, full = views.matcher, affine
-    if affine.correlation > MIN_CLOSE:
-        full = matcher.fit(affine.coefficients, ViewModel.CUBIC)
-    if full.correlation < CERTAIN:
-        # Where an affine map is off by half a core, a fit that starts from it slips by whole ones.
-        grown = matcher.fit(_grown(matcher), ViewModel.CUBIC)
-        full = grown if full is affine or grown.correlation > full.correlation else full
-    evidence = _evidence(full, DISTORTED)
-    beyond_px = matcher.rms_px(full.coefficients - affine_map(matcher.motion(full.coefficients), matcher.radius_px))
-    best = max(affine, full, key=lambda fit: fit.correlation)
-    if best is affine or evidence[ViewModel.AFFINE] == 0 or beyond_px < MIN_DISTORTION_PX:
-        affine = matcher.fit(best.coefficients, ViewModel.AFFINE)
-        _require_same_cores(matcher, affine, full)
-        return _undistorted_alignment(views, affine, matcher.left_over_px(full, affine.coefficients))
-    fit = _best_fit(matcher, full, evidence)
-    if fit.uncertainty_px(matcher.rim) > MAX_UNCERTAINTY_PX:
-        raise _other_cores(0.0)
-    _require_same_cores(matcher, fit, full)
-    return _alignment(views, fit, evidence, matcher.left_over_px(full, fit.coefficients))
 
 
 def _evidence(full: CoreFit, models: Sequence[ViewModel]) -> dict[ViewModel, float]:
