@@ -143,7 +143,7 @@ def test_where_the_card_holds_the_line_the_camera_sees_it(rig) -> None:
             rig.camera.read_into(frame, 30.0)
     finally:
         rig.camera.stop()
-    assert rig.bench.optics.line_row_now(PRESET) == pytest.approx(250)
+    assert instrument.line_row(rig.bench.card.last_volts) == pytest.approx(250)
     half = frame.shape[1] // 2
     brightest = [
         np.convolve(view.mean(1, dtype=float), np.ones(9), "same").argmax()
@@ -153,7 +153,7 @@ def test_where_the_card_holds_the_line_the_camera_sees_it(rig) -> None:
     assert brightest[1] - brightest[0] == pytest.approx(instrument.offset_rows, abs=4)
     rig.scanner.park()
     bundle = rig.bench.optics.calibration(PRESET).bundle
-    clear_um = (exposed_rows(bundle)[0] - rig.bench.optics.line_row_now(PRESET)) * PRESET.optics.um_per_px
+    clear_um = (exposed_rows(bundle)[0] - instrument.line_row(rig.bench.card.last_volts)) * PRESET.optics.um_per_px
     assert clear_um >= 100 - 30  # the paper's clearance from the confocal image, the residual one standing 29 um higher
 
 

@@ -51,7 +51,7 @@ def test_it_parks_the_line_clear_of_the_bundle_by_a_halos_width(preset) -> None:
     with open_rig(simulation=Simulation(scene=empty(), real_time=False)) as rig:
         instrument = rig.bench.optics.instrument(preset)
         top = instrument.confocal_centre[0] - instrument.diameter_px / 2
-        assert (top - rig.bench.optics.line_row_now(preset)) * preset.optics.um_per_px >= 100 - 1e-6
+        assert (top - instrument.line_row(rig.bench.card.last_volts)) * preset.optics.um_per_px >= 100 - 1e-6
 
 
 def test_what_the_simulated_rig_looks_at_can_be_changed_between_frames() -> None:
@@ -210,7 +210,7 @@ def test_a_card_in_its_own_process_shows_the_bench_what_it_does() -> None:
     with open_rig(simulation=Simulation(scene=empty(), own_process=True)) as rig:
         instrument = rig.bench.optics.instrument(preset)
         rig.scanner.hold(instrument.volts_at_row_zero + 200 * instrument.volts_per_row)
-        assert rig.bench.optics.line_row_now(preset) == pytest.approx(200)
+        assert instrument.line_row(rig.bench.card.last_volts) == pytest.approx(200)
         assert rig.bench.card.programs()[-1].resting_v == rig.bench.card.last_volts
     with pytest.raises(DeviceError, match="ended"):
         _ = rig.bench.card.last_volts

@@ -76,7 +76,7 @@ class VirtualBench:
     Parameters
     ----------
     optics : OpticalBench
-        Scene, galvo, line: ``optics.show(scene)``, ``optics.calibration(preset)``, ``optics.line_row_now(preset)``.
+        Scene, galvo, line: ``optics.show(scene)``, ``optics.calibration(preset)``.
     card : VirtualCard or RemoteCard
         ``card.last_volts``, ``card.break_with(code)``.
     plug : Plug

@@ -26,6 +26,7 @@ from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.disk import require_room
 from napari_elsplus.io.formats.registry import format_to_write
 from napari_elsplus.io.formats.source import MAX_FRAMES
+from napari_elsplus.io.text import read_lines
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.simulation import calibration_scenes, truth
 from napari_elsplus.simulation.axial_scan import axial_scan, lit_for_plate, scan_depths_um
@@ -35,7 +36,7 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.frames import RenderedFrames
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import Scene, picture, scene
-from napari_elsplus.simulation.specimen.trajectories import Recorded, Trajectory, trajectory
+from napari_elsplus.simulation.specimen.trajectories import Recorded, trajectory
 
 if TYPE_CHECKING:
     import os
@@ -155,7 +156,7 @@ def simulate_recording(
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
     )
-    moved = _trajectory(path, speed_um_s, seed)
+    moved = _recorded(Path(path)) if Path(path).suffix else trajectory(path, speed_um_s=speed_um_s, seed=seed)
     specimen = _scene(scene_name, seed, scene_um_per_px, instrument.optics.um_per_px)
     renderer = Renderer(instrument, specimen, moved, seed=seed)
     renderer.refuse_path(frames)
@@ -347,21 +348,14 @@ def _scene(name: str, seed: int, um_per_px: float | None, camera_um_per_px: floa
     return scene(name, seed)
 
 
-def _trajectory(name: str, speed_um_s: float, seed: int) -> Trajectory:
-    return _recorded(Path(name)) if Path(name).suffix else trajectory(name, speed_um_s=speed_um_s, seed=seed)
-
-
 def _recorded(path: Path) -> Recorded:
     """Read a path from CSV: columns time_s, row_um, col_um, as a track has them."""
     wanted = ("time_s", "row_um", "col_um")
+    remedy = f"give columns {', '.join(wanted)}"
+    lines = read_lines(path, remedy)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [[float(row[name]) for name in wanted] for row in csv.DictReader(file)]
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}", "check the path") from None
+        rows = [[float(row[name]) for name in wanted] for row in csv.DictReader(lines)]
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path.name} is no recorded path ({error!s:.60})", f"give columns {', '.join(wanted)}"
-        ) from None
+        raise InputError(f"{path.name} is no recorded path ({error!s:.60})", remedy) from None
     table = np.array(rows, np.float64).reshape(-1, 3)
     return Recorded(table[:, 0], table[:, 1:])

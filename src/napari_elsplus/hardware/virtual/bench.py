@@ -143,11 +143,6 @@ class OpticalBench:
         perfect = true_calibration(self.instrument(preset, slit_rows))
         return perfect.with_galvo(lag_s=self.simulation.moved_galvo.lag_s)
 
-    def line_row_now(self, preset: Preset) -> float:
-        """Return the row of the confocal view, in a preset's frame, on which the card's voltage holds the line."""
-        instrument = self.instrument(preset)
-        return float(instrument.line_row(self.card.last_volts))
-
     def moved_s(self) -> float:
         """Return when the card was given its last voltage or ramp."""
         return self.card.programs()[-1].since_s

@@ -128,10 +128,6 @@ def _optics_section(
     numbers = {"um_per_px": um_per_px, "line_period_s": line_period_s, "rows_per_frame": line_periods_per_frame}
     known = {name: value for name, value in numbers.items() if value is not None}
     for name, value in known.items():
-        _require_positive(name, value)
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value}", "it must be a positive number")
     return OpticsSection(**known) if known else None
-
-
-def _require_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{name} is {value}", "it must be a positive number")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import cv2
@@ -68,7 +68,7 @@ class Layer:
         self._held = np.full((per_side, per_side, 2), np.iinfo(np.int64).min)  # block in each slot
         self._ahead: list[tuple[int, int]] = []
         self._covered: list[range] = []
-        self._kept: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
+        self._block = lru_cache(_MAX_BLOCKS)(self._blurred)
 
     def cover(self, top_um: float, left_um: float, bottom_um: float, right_um: float) -> None:
         """Compute the window for a region of the scene: its top, left, bottom and right edge, um.
@@ -122,10 +122,7 @@ class Layer:
             self.window[-1, -1] = self.window[0, 0]
         self._held[slot] = block
 
-    def _block(self, i: int, j: int) -> NDArray[np.float32]:
-        if (i, j) in self._kept:
-            self._kept.move_to_end((i, j))
-            return self._kept[i, j]
+    def _blurred(self, i: int, j: int) -> NDArray[np.float32]:
         margins = [len(taps) // 2 for taps in self._filters]
         rows, cols = (
             (np.arange(-margin, BLOCK + margin, dtype=np.float64) + index * BLOCK) * self.step_um
@@ -134,9 +131,6 @@ class Layer:
         blurred = cv2.sepFilter2D(self._texture.sample(rows, cols), -1, self._filters[1], self._filters[0])
         inside = (slice(margin, margin + BLOCK) for margin in margins)
         block: NDArray[np.float32] = blurred[tuple(inside)].copy()
-        self._kept[i, j] = block
-        if len(self._kept) > _MAX_BLOCKS:
-            self._kept.popitem(last=False)
         return block
 
 

@@ -110,15 +110,13 @@ def paper(seed: int = 0) -> Scene:
     )
 
 
-def usaf(seed: int = 0) -> Scene:
+def usaf(_seed: int = 0) -> Scene:
     """Return a USAF 1951 target in transmission; the seed has no effect."""
-    del seed
     return Scene((Plane(usaf_1951()),), transmission=True)
 
 
-def uniform(seed: int = 0) -> Scene:
+def uniform(_seed: int = 0) -> Scene:
     """Return a uniform plane in contact; the seed has no effect."""
-    del seed
     return plate(0.0)
 
 
@@ -127,9 +125,8 @@ def plate(depth_um: float) -> Scene:
     return Scene((Plane(Uniform(), depth_um),))
 
 
-def empty(seed: int = 0) -> Scene:
+def empty(_seed: int = 0) -> Scene:
     """Return a dark tube, in which only the bundle's autofluorescence is seen; the seed has no effect."""
-    del seed
     return Scene()
 
 

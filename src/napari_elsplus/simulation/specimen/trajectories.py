@@ -188,13 +188,8 @@ class Recorded:
             raise InputError(
                 f"a recorded path of {len(times_s)} points", "give two or more, each with a row and a column"
             )
-        if not (np.isfinite(times_s).all() and np.isfinite(positions_um).all()):
-            raise InputError("the recorded path holds NaN or infinite numbers", "leave those points out")
-        if not (np.diff(times_s) > 0).all():
-            first = int(np.argmin(np.diff(times_s) > 0)) + 1
-            raise InputError(
-                f"the recorded path's time {times_s[first]} s does not follow {times_s[first - 1]} s", "sort it"
-            )
+        if not (np.isfinite([times_s, *positions_um.T]).all() and (np.diff(times_s) > 0).all()):
+            raise InputError("the recorded path has NaN or infinite numbers, or times that do not increase", "sort it")
         self._times_s, self._positions_um = times_s, positions_um
 
     def positions_um(self, times_s: Times) -> Positions:
@@ -207,10 +202,10 @@ class Recorded:
         """
         first, last = self._times_s[0], self._times_s[-1]
         slack = 1e-9 + 1e-6 * (last - first)
-        if len(times_s) and (times_s[0] < first - slack or times_s[-1] > last + slack):
-            outside = times_s[0] if times_s[0] < first - slack else times_s[-1]
+        outside = times_s[(times_s < first - slack) | (times_s > last + slack)]
+        if len(outside):
             raise InputError(
-                f"the recorded path spans {first:.4g} to {last:.4g} s, a frame needs {outside:.4g} s",
+                f"the recorded path spans {first:.4g} to {last:.4g} s, a frame needs {outside[-1]:.4g} s",
                 "take fewer frames",
             )
         return np.stack([np.interp(times_s, self._times_s, axis) for axis in self._positions_um.T], axis=1)
