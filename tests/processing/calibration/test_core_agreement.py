@@ -11,7 +11,7 @@ import pytest
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.calibration import Calibration, GalvoSection
 from napari_elsplus.processing.calibration.calibrate import measure
-from napari_elsplus.processing.calibration.core_agreement import CoreAgreement
+from napari_elsplus.processing.calibration.core_agreement import CoreAgreement, agreement_note
 from napari_elsplus.simulation import calibration_scenes
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
@@ -119,5 +119,6 @@ def test_a_bundle_farther_away_than_is_searched_is_stated(agreement: CoreAgreeme
 
 
 def test_a_calibration_without_a_flat_field_is_refused(calibration: Calibration) -> None:
+    assert not agreement_note(moving("nuclei"), calibration.model_copy(update={"flat": None}))
     with pytest.raises(CalibrationError, match="no flat field"):
         CoreAgreement(calibration.model_copy(update={"flat": None}), INSTRUMENT.frame_shape)

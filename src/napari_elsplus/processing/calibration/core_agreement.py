@@ -232,10 +232,9 @@ def agreement_note(frames: Frames, calibration: Calibration) -> str:
         return note
     some = [np.asarray(frames[number]) for number in averaged_frames(len(frames))]
     try:
-        cores = CoreAgreement(calibration, some[0].shape)
-    except CalibrationError:  # without bundle views and a flat field of them there are no cores to compare
+        moved = CoreAgreement(calibration, some[0].shape).displacement(some)
+    except CalibrationError:  # of one that does not show the cores
         return note
-    moved = cores.displacement(some)
     return "; ".join(filter(None, (note, "" if moved is None else str(moved))))
 
 
