@@ -149,13 +149,13 @@ class CoreAgreement:
         rows, cols = residual.rows - confocal.rows, residual.cols - confocal.cols
         if self._too_far(rows, cols):
             return CalibrationError(
-                f"the residual view has moved by {rows:.1f} rows and {cols:.1f} columns against the confocal view "
+                f"the residual view has moved by {rows:z.1f} rows and {cols:z.1f} columns against the confocal view "
                 "since the calibration, as if the tilt mirror was turned",
                 "measure slit offset and bundle pair again",
             )
         if self._too_far(confocal.rows, confocal.cols):
             return CalibrationError(
-                f"the bundle has moved by {confocal.rows:.1f} rows and {confocal.cols:.1f} columns since the "
+                f"the bundle has moved by {confocal.rows:z.1f} rows and {confocal.cols:z.1f} columns since the "
                 "calibration",
                 "measure the bundle pair again",
             )
