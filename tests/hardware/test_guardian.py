@@ -37,7 +37,7 @@ from napari_elsplus.simulation.truth import park_volts
 PRESET = PRESETS["240hz"]
 PARK_V = park_volts(Instrument.of(PRESET.name))
 DRIVE = """
-    import json, time
+    import json, signal, time
     from napari_elsplus.hardware.rigs import open_rig
     from napari_elsplus.hardware.virtual.bench import Simulation
     from napari_elsplus.hardware.virtual.timeline import StrobeTrain
@@ -46,6 +46,8 @@ DRIVE = """
     from napari_elsplus.instrument.optics import PRESETS
     from napari_elsplus.simulation.specimen.scenes import empty
 
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which is ignored where the tests run under `nohup`
     preset = PRESETS["240hz"]
     with open_rig("simulated", Simulation(scene=empty(), own_process=True)) as rig:
         timing = ScanTiming(preset.optics.line_period_s, preset.optics.line_periods_per_frame, 3)

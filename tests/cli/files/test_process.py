@@ -35,9 +35,12 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 
 SLOW = """
-import sys, time
+import signal, sys, time
 from napari_elsplus.cli import main
 from napari_elsplus.cli.files import process
+
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which is ignored where the tests run under `nohup`
 
 def slow(numbers, step):
     for number in numbers:

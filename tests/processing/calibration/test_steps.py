@@ -46,7 +46,7 @@ def test_a_step_is_done_once_its_section_is_in_the_calibration() -> None:
 
 
 def test_a_calibration_is_created_when_its_last_step_is_accepted(monkeypatch) -> None:
-    begun = Draft(Calibration.parse({"created": "2026-01-31T08:00:00Z"}))
+    begun = Draft(Calibration(created="2026-01-31T08:00:00Z"))
     monkeypatch.setattr("napari_elsplus.processing.calibration.step.utc_now", lambda: "2026-01-31T12:00:00Z")
     background = Background(np.ones((4, 6), np.float32), 0.0, 2)
     accepted = find_step("background").accept(begun, background, Setup(FrameSection(shape=(4, 6))))

@@ -99,6 +99,11 @@ def test_a_rigid_scene_is_left_as_it_is() -> None:
         assert estimate_deformation(lambda k, images=images: images[k], poses, GRID) is None
 
 
+def test_a_picture_that_is_always_the_same_is_left_as_it_is() -> None:
+    _, images, poses = scanned(0.0)
+    assert estimate_deformation(lambda _: images[0], [poses[0]] * FRAMES, GRID) is None
+
+
 def test_an_image_without_a_field_is_left_as_it_is() -> None:
     image = np.ones((SIDE, SIDE), np.float32)
     assert Deformation(GRID).undone(0, image) is image

@@ -61,6 +61,9 @@ _EVERY: Final = 2
 _MIN_SHARED: Final = 0.2
 _MIN_CORRELATION: Final = 0.3
 """Part of the field that two frames have in common, and their correlation, from which they are compared; chosen."""
+_SAME: Final = 1e-9
+"""Squared difference of two frames over the squared frame up to which they are one picture; chosen: far below noise,
+and above what rounding leaves."""
 _SAMPLES_ACROSS: Final = 60
 """Pixels of the field that are compared, along a diameter; chosen: a quarter of those of the grid, each with less than
 one independent value."""
@@ -147,6 +150,8 @@ class Deformation:
         design = design.reshape(-1, len(miss))
         values = float(self._step**2 * len(miss) / CORRELATED_PX)
         noise = float(miss @ miss) / values
+        if not noise * values > _SAME * energy:
+            return None
         # without a BLAS: for so little its threads wait for each other, a hundred times as long on a busy computer
         return cv2.mulTransposed(design, aTa=False) / noise, -np.einsum("ik,k->i", design, miss) / noise, values
 

@@ -8,7 +8,7 @@ Of another bit depth is a background whose level beside the views, where no ligh
 frames, or a fraction of it. Saturated frames are not what any calibration could make up for, and are noted first.
 
 The residual's slit lies beside the line: in all light, of whatever depth, its view is the darker one. Where it is not,
-the views are exchanged, or the line stands on the wrong slit, and ELS+ is negative. Where it is dark, ELS+ is LS.
+the views are exchanged, or the line stands on the wrong slit, and ELS+ is negative. Of thin tissue in focus it is dark.
 """
 
 from __future__ import annotations
@@ -62,8 +62,6 @@ MIN_COMPARED_PIXELS: Final = 100
 MAX_RESIDUAL_RATIO: Final = 1.1
 """Light of the residual view over that of the confocal one, both of the same gain, beyond which it is noted; chosen:
 gains of calibrations are exact to a percent, and of a lamp at the far end both views show the same."""
-MIN_RESIDUAL_RATIO: Final = 0.01
-"""The same below which it is noted; chosen: ELS+ is then LS within a percent, whatever the reason."""
 LIT_PERCENTILE: Final = 25
 """Of the pixels of the views, that exceed the level beside them; chosen: else no light tells where black pixels are."""
 COMPARED_STEP_PX: Final = 4
@@ -131,12 +129,12 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
     some = [np.array(frames[number][_COMPARED]) for number in averaged_frames(len(frames))]
     saturated = saturation_note(float(np.mean([saturated_part(pixels) for pixels in some])))
     same_shape = calibration.background is not None and calibration.background.shape == frames[0].shape
-    notes = saturated, _bit_depth_note(some, calibration) if same_shape else "", _unequal_views_note(some, calibration)
+    notes = saturated, _bit_depth_note(some, calibration) if same_shape else "", _brighter_view_note(some, calibration)
     return "; ".join(filter(None, notes))
 
 
-def _unequal_views_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
-    """Return the message on a residual view that is brighter than the confocal one, or dark, by pixels of frames."""
+def _brighter_view_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
+    """Return the message on a residual view that is brighter than the confocal one, by some pixels of frames."""
     bundle, background = calibration.bundle, calibration.background
     if bundle is None:
         return ""
@@ -145,11 +143,6 @@ def _unequal_views_note(some: Sequence[NDArray[Any]], calibration: Calibration) 
         seen = seen - background[_COMPARED]
     confocal_dn, residual_dn = (float(seen[_within(seen.shape, *place)].mean()) for place in bundle.discs)
     residual_dn /= bundle.residual_gain
-    if confocal_dn > MIN_LEVEL_DIFFERENCE and residual_dn < MIN_RESIDUAL_RATIO * confocal_dn:
-        return (
-            f"the right view has {100 * max(residual_dn / confocal_dn, 0.0):.1g} % of the light of the left one, so "
-            "that ELS+ is LS: is the right view blocked?"
-        )
     if residual_dn <= MAX_RESIDUAL_RATIO * max(confocal_dn, 0.0) + MIN_LEVEL_DIFFERENCE:
         return ""
     return (
