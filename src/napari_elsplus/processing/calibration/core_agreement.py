@@ -226,11 +226,11 @@ def agreement_note(frames: Frames, calibration: Calibration) -> str:
     CalibrationError
         If they are frames of another rig (:func:`require_agreement`) or bit depth.
     """
-    require_agreement(frames, calibration)
-    note = grey_level_note(frames, calibration)
     if not len(frames):
-        return note
-    some = [np.asarray(frames[number]) for number in averaged_frames(len(frames))]
+        return ""
+    some = [np.asarray(frames[number]) for number in averaged_frames(len(frames))]  # read once for all comparisons
+    require_agreement(some, calibration)
+    note = grey_level_note(some, calibration)
     try:
         moved = CoreAgreement(calibration, some[0].shape).displacement(some)
     except CalibrationError:  # of one that does not show the cores

@@ -29,6 +29,7 @@ from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.pose_graph.graph import AWAY, REACH
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX
 
@@ -53,9 +54,6 @@ ROUNDS: Final = (False, True, True)
 they are expected once the fields along the track are known. One step more of either kind adds at most 0.002."""
 TESTED_DIAMETERS: Final = 0.25
 """Distance of the frames that are tested, in diameters; chosen: tissue has deformed by then, and most is in common."""
-REACH_DIAMETERS: Final = 0.45
-AWAY_DIAMETERS: Final = 1.0
-"""Distance within which a place is shown again, and length of the path since, in diameters; as in the pose graph."""
 _EVERY: Final = 2
 """Every how many frames a place that is shown again is sought; chosen."""
 _MIN_SHARED: Final = 0.2
@@ -336,7 +334,7 @@ def _revisits(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) ->
     gone, pairs = np.cumsum(abs(np.diff(at, prepend=at[0]))), []
     for k in range(0, len(tracked), _EVERY):
         distance = abs(at[:k] - at[k])
-        near = (distance < REACH_DIAMETERS * diameter) & (gone[k] - gone[:k] > AWAY_DIAMETERS * diameter)
+        near = (distance < REACH * diameter) & (gone[k] - gone[:k] > AWAY * diameter)
         near &= segments[:k] == segments[k]
         if near.any():
             pairs.append((tracked[int(np.argmin(np.where(near, distance, np.inf)))], tracked[k]))

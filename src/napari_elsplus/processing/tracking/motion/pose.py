@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from math import nan
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
 
 
 class TrackingState(StrEnum):
@@ -74,3 +81,16 @@ class Pose(NamedTuple):
     def lost(self) -> Pose:
         """The same frame without a position."""
         return self._replace(row=nan, col=nan, velocity=Velocity(nan, nan), state=TrackingState.LOST)
+
+
+def frame_periods(frames: int, lost: Mapping[int, int]) -> NDArray[np.int64]:
+    """Return when frames were taken, counted in frame periods, (frames,).
+
+    Parameters
+    ----------
+    frames : int
+        How many were added.
+    lost : mapping of int to int
+        How many frames were lost before some, by their index.
+    """
+    return np.cumsum([1 + lost.get(index, 0) for index in range(frames)], dtype=np.int64)

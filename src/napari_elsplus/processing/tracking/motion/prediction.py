@@ -26,6 +26,8 @@ _UNEVEN: Final = 7 / 3200
 _UNEVEN_ESTIMATED: Final = 7 / 47440
 """Variance of the middle of a frame from that of the difference of the accelerations, per fourth power of that part,
 where even motion is fitted within each frame; and where the difference is estimated, too. Derived likewise."""
+LEFT_UNEVEN: Final = _UNEVEN_ESTIMATED / _UNEVEN
+"""Part of that variance which the estimate leaves."""
 _MIN_SPREAD: Final = 0.3
 """Smallest standard deviation of the next velocity, pixels per frame period; chosen, about a hand's tremor."""
 _MEMORY: Final = 0.3

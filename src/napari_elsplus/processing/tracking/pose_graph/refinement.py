@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState, frame_periods
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.edge import Edge
@@ -78,8 +78,7 @@ def refine(
     at, angle = np.array([pose.at for pose in placed]), np.array([pose.angle for pose in placed])
     at = least_squares_positions([*edges, *graph.loops], at, angle)
     result = interpolate([pose._replace(row=z.real, col=z.imag) for pose, z in zip(placed, at.tolist(), strict=True)])
-    periods = np.cumsum([1 + (lost or {}).get(k, 0) for k in range(len(poses))])
-    return with_uncertainties(result, periods, within, graph)
+    return with_uncertainties(result, frame_periods(len(poses), lost or {}), within, graph)
 
 
 def from_origins(poses: Sequence[Pose]) -> list[Pose]:

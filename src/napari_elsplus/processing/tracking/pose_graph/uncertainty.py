@@ -23,6 +23,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.processing.tracking.motion.prediction import LEFT_UNEVEN
 from napari_elsplus.processing.tracking.pose_graph.edge import UNKNOWN_TURN
 from napari_elsplus.processing.tracking.pose_graph.nodes import FLOOR_PX
 
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
 
 _BEND: Final = 1 / 32
 """Shift of a frame's middle by a unit acceleration, per squared time in which the disc is read; derived, see above."""
-_LEFT_BENT: Final = 3200 / 47440
-"""Part of its variance that a registration leaves that estimates uneven motion; derived as in ``motion.prediction``."""
 
 
 class _Step(NamedTuple):
@@ -114,7 +113,7 @@ def _steps(links: Sequence[TrackedPair], graph: PoseGraph) -> list[_Step]:
         by_velocity = (moved.row / rows) ** 2 * link.velocity_variance
         times = 2 if link.turn_sigma < UNKNOWN_TURN else 1  # with a rotation the shift is estimated once more
         noise = times * share * link.covariance + floor
-        steps.append(_Step((a, b), noise, by_velocity, _LEFT_BENT if link.evened else 1.0))
+        steps.append(_Step((a, b), noise, by_velocity, LEFT_UNEVEN if link.evened else 1.0))
         of_velocity[b] = link.velocity_variance
         of_velocity.setdefault(a, link.velocity_variance)
     for edge in sorted(graph.loops, key=lambda edge: float(np.trace(edge.covariance))):

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from napari_elsplus.processing.tracking.motion.pose import frame_periods
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -40,7 +42,7 @@ def probe_turns(
     lost : mapping of int to int
         How many frames were lost before some, by their index.
     """
-    times = np.arange(len(poses)) + np.cumsum([lost.get(index, 0) for index in range(len(poses))])
+    times = frame_periods(len(poses), lost)
     at, turn = np.array([pose.at for pose in poses]), np.exp(-1j * np.array([pose.angle for pose in poses]))
     segments, velocity = np.array([pose.segment for pose in poses]), np.full(len(poses), np.nan + 0j)
     runs = [np.flatnonzero((segments == segment) & np.isfinite(at)) for segment in np.unique(segments)]
