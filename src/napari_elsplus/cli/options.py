@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from math import isfinite
 from pathlib import Path
+from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,7 +21,7 @@ from napari_elsplus.io.atomic import real_path
 from napari_elsplus.processing.compilation import compilation_remark
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import Recording, TrackPoint
@@ -52,29 +54,23 @@ class _Named(click.Path):
 
 
 class LazyChoice(click.Choice):  # type: ignore[type-arg, unused-ignore] # generic since click 8.2
-    """A choice whose values are computed when they are needed: naming a wrong option needs none.
+    """A choice whose values are imported when they are needed: naming a wrong option needs none.
 
     Parameters
     ----------
-    values : callable
-        Returns the values.
+    values : str
+        ``package.module:NAME`` of the values (an enumeration, the keys of a dictionary), or of what returns them.
     """
 
-    def __init__(self, values: Callable[[], Iterable[str]]) -> None:
+    def __init__(self, values: str) -> None:
         self._values = values
         self.case_sensitive = True
 
     @property
     def choices(self) -> tuple[str, ...]:  # type: ignore[override, unused-ignore]
         """The values."""
-        return tuple(self._values())
-
-
-def image_types() -> list[str]:
-    """Return the names of the image types."""
-    from napari_elsplus.processing.images.modes import Mode
-
-    return [mode.value for mode in Mode]
+        found = resolve_name(self._values)
+        return tuple(map(str, found if isinstance(found, Iterable) else found()))
 
 
 class LazyHelp(click.Option):
@@ -113,6 +109,7 @@ class ReadingCommand(click.Command):
 
 FILE = _Named(path_type=Path)
 NUMBER, POSITIVE = _Number(), _Number(positive=True)
+IMAGE_TYPE = LazyChoice("napari_elsplus.processing.images.modes:Mode")
 SEED = click.IntRange(0, (1 << 31) - 1)
 """Seeds that every random generator in use takes: 31 bits."""
 

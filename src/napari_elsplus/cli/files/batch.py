@@ -6,16 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from napari_elsplus.cli.options import FILE, LazyChoice, image_types, progress
+from napari_elsplus.cli.options import FILE, IMAGE_TYPE, LazyChoice, progress
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def _formats() -> list[str]:
-    from napari_elsplus.workflows.batch.job import FORMATS
-
-    return list(FORMATS)
 
 
 @click.command()
@@ -23,10 +17,11 @@ def _formats() -> list[str]:
 @click.option(
     "-c", "--calibration", type=FILE, help="Calibration for all; by default that beside or in each recording."
 )
-@click.option("--mode", type=LazyChoice(image_types), default="els", show_default=True, help="Image type.")
+@click.option("--mode", type=IMAGE_TYPE, default="els", show_default=True, help="Image type.")
 @click.option("--mosaic", is_flag=True, help="Also track the probe and make a mosaic of each recording.")
 @click.option(
-    "--format", "file_format", type=LazyChoice(_formats), default="ome-tiff", show_default=True,
+    "--format", "file_format", default="ome-tiff", show_default=True,
+    type=LazyChoice("napari_elsplus.workflows.batch.job:FORMATS"),
     help="Format of images and mosaics; ome-zarr is NGFF 0.5, and needs the extra zarr.",
 )  # fmt: skip
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the results; a batch in it is resumed.")

@@ -8,6 +8,7 @@ import click
 
 from napari_elsplus.cli.options import (
     FILE,
+    IMAGE_TYPE,
     LazyChoice,
     LazyHelp,
     ReadingCommand,
@@ -15,7 +16,6 @@ from napari_elsplus.cli.options import (
     calibration_option,
     files_read,
     force_option,
-    image_types,
     output_option,
     progress,
     refuse_outputs,
@@ -30,42 +30,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def _methods() -> list[str]:
-    from napari_elsplus.processing.tracking.registry import tracking_methods
-
-    return list(tracking_methods())
-
-
 def _described_methods() -> str:
     from napari_elsplus.processing.tracking.registry import tracking_methods
 
     return "; ".join(f"{name}: {method.description}" for name, method in tracking_methods().items()) + "."
 
 
-def _insertions() -> list[str]:
-    from napari_elsplus.processing.mosaicing.mosaic import Insertion
-
-    return [insertion.value for insertion in Insertion]
-
-
 @click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
 @calibration_option
-@click.option(
-    "--mode",
-    type=LazyChoice(image_types),
-    help="Image type to track and insert.  [default: els]",
-)
+@click.option("--mode", type=IMAGE_TYPE, help="Image type to track and insert.  [default: els]")
 @click.option(
     "--finished", is_flag=True,
     help="RAW are finished images of any microscope: no calibration, tracked and inserted at their own resolution.",
 )  # fmt: skip
 @click.option(
-    "--method", cls=LazyHelp, type=LazyChoice(_methods), default="elsplus", show_default=True,
-    describe=_described_methods,
+    "--method", cls=LazyHelp, describe=_described_methods, default="elsplus", show_default=True,
+    type=LazyChoice("napari_elsplus.processing.tracking.registry:tracking_methods"),
 )  # fmt: skip
 @click.option(
-    "--insertion", type=LazyChoice(_insertions), default="dead-leaf", show_default=True,
+    "--insertion", default="dead-leaf", show_default=True,
+    type=LazyChoice("napari_elsplus.processing.mosaicing.mosaic:Insertion"),
     help="Rule by which overlapping images are combined; cores: finer than the cores, where the probe moved.",
 )  # fmt: skip
 @click.option(

@@ -8,13 +8,13 @@ import click
 
 from napari_elsplus.cli.options import (
     FILE,
+    IMAGE_TYPE,
     LazyChoice,
     ReadingCommand,
     calibration_of,
     calibration_option,
     files_read,
     force_option,
-    image_types,
     output_option,
     progress,
     refuse_outputs,
@@ -24,25 +24,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def _core_filters() -> list[str]:
-    from napari_elsplus.processing.images.cores import CoreFilter
-
-    return [kind.value for kind in CoreFilter]
-
-
 @click.command(cls=ReadingCommand)
 @click.argument("raw", type=FILE)
 @calibration_option
 @click.option(
     "--mode",
-    type=LazyChoice(image_types),
+    type=IMAGE_TYPE,
     default="els",
     show_default=True,
     help="Image type: confocal (ls), aligned residual, their difference in one frame (els) or in two (elsa).",
 )
 @click.option(
     "--cores",
-    type=LazyChoice(_core_filters),
+    type=LazyChoice("napari_elsplus.processing.images.cores:CoreFilter"),
     default="none",
     show_default=True,
     help="Suppression of the core pattern.",

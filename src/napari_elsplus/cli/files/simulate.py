@@ -40,12 +40,6 @@ class _ImperfectionsType(click.ParamType):  # type: ignore[type-arg, unused-igno
         return value if isinstance(value, Imperfections) else Imperfections.parse(value)
 
 
-def _line_models() -> list[str]:
-    from napari_elsplus.simulation.model.axial_response import LINE_MODELS
-
-    return list(LINE_MODELS)
-
-
 def _described_scenes() -> str:
     from napari_elsplus.simulation.specimen.scenes import SCENES
 
@@ -86,7 +80,7 @@ imperfect_option = click.option(
 
 state_option = click.option(
     "--state",
-    type=LazyChoice(_line_models),
+    type=LazyChoice("napari_elsplus.simulation.model.axial_response:LINE_MODELS"),
     default="a",
     show_default=True,
     help="Line model: of the paper's panels a and b, or the sharper one of c and d.",
