@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,13 +37,23 @@ class Task:
     def __init__(self, function: Callable[..., Any], arguments: tuple[Any, ...], priority: int) -> None:
         self.function, self.arguments, self.priority = function, arguments, priority
 
-    def result(self) -> Any:
-        """Return what the task returns, after the tasks of which it takes the results."""
-        resolved = ([one.result() for one in part] if isinstance(part, list) else part for part in self.arguments)
-        return self.function(*resolved)
+    @cached_property
+    def outcome(self) -> tuple[Any, Exception | None]:
+        """What the task returns or raises, after the tasks of which it takes the results."""
+        try:
+            resolved = ([one.result() for one in part] if isinstance(part, list) else part for part in self.arguments)
+            return self.function(*resolved), None
+        except Exception as error:  # noqa: BLE001 - raised by `result`
+            return None, error
 
-    def exception(self) -> None:
-        return None
+    def result(self) -> Any:
+        found, error = self.outcome
+        if error is not None:
+            raise error
+        return found
+
+    def exception(self) -> Exception | None:
+        return self.outcome[1]
 
 
 class InlineClient:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.instrument.arguments import require_path
 from napari_elsplus.io import read_calibration, replacing
 from napari_elsplus.io.atomic import real_path
@@ -19,15 +19,17 @@ from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.workflows.batch.cluster import batch_client
 from napari_elsplus.workflows.batch.job import FORMATS, BatchItem, BatchJob, Values, find_recordings, open_output
 from napari_elsplus.workflows.batch.spans import SPANS
-from napari_elsplus.workflows.batch.tasks import ERROR, finish_spans, run_span, run_stage
+from napari_elsplus.workflows.batch.tasks import finish_spans, run_span, run_stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
+ERROR: Final = "error"
+"""Column of the message of what failed."""
 COLUMNS: Final = (
     "recording", "name", "calibration", "images", "frames", "tracked", "segments", "path_um", "area_um2", "contrast",
-    "warnings", "error",
+    "warnings", ERROR,
 )  # fmt: skip
 """Columns of the table; those that a job does not measure stay empty."""
 
@@ -170,8 +172,8 @@ def _finished_stages(client: Any, stages: list[tuple[str, BatchItem]]) -> Iterat
     completed = as_completed(list(begun))
     for future in completed:
         stage, item, priority = begun.pop(future)
-        error = future.exception()  # a defect, or a worker that was killed again and again
-        found = future.result() if error is None else {ERROR: f"{type(error).__name__}: {error}"}
+        error = future.exception()
+        found = future.result() if error is None else {ERROR: _message(error)}
         if SPANS in found:
             spans = [begin(run_span, span, item, priority=priority) for span in found[SPANS]]
             last = begin(finish_spans, item, spans, priority=priority)
@@ -179,6 +181,13 @@ def _finished_stages(client: Any, stages: list[tuple[str, BatchItem]]) -> Iterat
             completed.add(last)
         else:
             yield (item.name, stage), found
+
+
+def _message(error: BaseException) -> str:
+    """Return what a task raised as one line: also a defect, and a worker that was killed again and again."""
+    if isinstance(error, ElsPlusError | OSError):
+        return error_message(error)
+    return f"{type(error).__name__}: {error}"
 
 
 def _row(item: BatchItem, found: list[Values]) -> Values:

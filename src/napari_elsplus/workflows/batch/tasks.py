@@ -1,44 +1,23 @@
 """Tasks of a batch: a stage of a recording, or a span of its images, unless an earlier run has finished it.
 
-What computes is imported where a task is executed: the process that submits tasks does without it. A recording that
-cannot be read, or lacks a calibration, is returned as an error, for its row of the table.
+What computes is imported where a task is executed: the process that submits tasks does without it. What is raised, of
+a recording that cannot be read for instance, fails its task alone; the row of the table has the message.
 """
 
 from __future__ import annotations
 
-from functools import wraps
-from typing import TYPE_CHECKING, Final, ParamSpec
+from typing import TYPE_CHECKING
 
-from napari_elsplus.errors import ElsPlusError, error_message
 from napari_elsplus.io import open_recording
 from napari_elsplus.io.atomic import remove_unfinished
 from napari_elsplus.workflows.batch.spans import SPANS, SpannedImages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from napari_elsplus.workflows.batch.job import BatchItem, Values
 
-    Arguments = ParamSpec("Arguments")
 
-ERROR: Final = "error"
-"""Key of a failed task's message."""
-
-
-def _returning_errors(task: Callable[Arguments, Values]) -> Callable[Arguments, Values]:
-    """Return a task that returns the message of a failure under :data:`ERROR`."""
-
-    @wraps(task)
-    def returning(*arguments: Arguments.args, **options: Arguments.kwargs) -> Values:
-        try:
-            return task(*arguments, **options)
-        except (ElsPlusError, OSError) as error:
-            return {ERROR: error_message(error)}
-
-    return returning
-
-
-@_returning_errors
 def run_stage(stage: str, item: BatchItem) -> Values:
     """Return what a stage finds in a recording: from an earlier run's record, or by executing it.
 
@@ -52,8 +31,8 @@ def run_stage(stage: str, item: BatchItem) -> Values:
     Returns
     -------
     dict
-        Columns of the recording's row in the table; a message under :data:`ERROR` if it failed; of a long recording's
-        images only the spans to be made, under :data:`SPANS`, after which :func:`finish_spans` finishes the stage.
+        Columns of the recording's row in the table; of a long recording's images only the spans to be made, under
+        :data:`SPANS`, after which :func:`finish_spans` finishes the stage.
     """
     found, fingerprint = item.recall(stage), item.fingerprint()
     if found is None:
@@ -69,9 +48,8 @@ def run_stage(stage: str, item: BatchItem) -> Values:
     return found
 
 
-@_returning_errors
 def run_span(span: range, item: BatchItem) -> Values:
-    """Make a span of the images of a recording; return what it finds, or a message under :data:`ERROR`.
+    """Make a span of the images of a recording; return what it finds.
 
     Parameters
     ----------
@@ -88,21 +66,19 @@ def run_span(span: range, item: BatchItem) -> Values:
     return found
 
 
-@_returning_errors
-def finish_spans(item: BatchItem, found: Sequence[Values]) -> Values:
+def finish_spans(item: BatchItem, _made: Sequence[Values]) -> Values:
     """Return what the images of a recording show after all of their spans were made, and rename them into place.
 
     Parameters
     ----------
     item : BatchItem
         The recording.
-    found : sequence of dict
-        What the tasks of the spans returned.
+    _made : sequence of dict
+        What the tasks of the spans returned, for which this one waits; one that failed fails this one.
 
     Returns
     -------
     dict
-        As :func:`run_stage`; a message under :data:`ERROR` if a span failed.
+        As :func:`run_stage`.
     """
-    failed = [values for values in found if ERROR in values]
-    return failed[0] if failed else SpannedImages(item).finish()
+    return SpannedImages(item).finish()
