@@ -44,7 +44,7 @@ def followed(
     calibration = true_calibration(INSTRUMENT, np.full(INSTRUMENT.frame_shape, INSTRUMENT.black_dn, np.float32))
     pipeline = Pipeline(calibration, INSTRUMENT.frame_shape)
     for k in range(len(pairs)):
-        pipeline.skip(pairs.lost_before(k))
+        pipeline.tracking.skip(pairs.lost_before(k))
         pipeline.track(pairs(k)[0], k)
     if finish:
         pipeline.finish(pairs)

@@ -87,7 +87,7 @@ def _ours(*, two_threads: bool = False) -> Callable[[Case], Callable[[Live], Tim
             if two_threads:
                 images = tracking_images(pipeline, ((raw, raw) for raw in item.raw), len(item.raw))
                 for k, image in enumerate(images):
-                    pose = pipeline.estimate_pose(image)
+                    pose = pipeline.tracking.estimate_pose(image)
                     pipeline.note(pose, k, np.nan)
                     pipeline.insert(partial(np.asarray, image), pose)
             else:

@@ -44,7 +44,7 @@ class Tracking:
         pipeline = self.pipeline()
         images = tracking_images(pipeline, ((raw, raw) for raw in self.raw), len(self.raw))
         for number, image in enumerate(images):
-            pose = pipeline.estimate_pose(image)
+            pose = pipeline.tracking.estimate_pose(image)
             pipeline.note(pose, number, np.nan)
             pipeline.insert(lambda image=image: image, pose)
 

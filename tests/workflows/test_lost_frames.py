@@ -65,7 +65,7 @@ def test_the_velocity_after_lost_frames_is_that_of_the_probe(truth: Truth) -> No
     pipeline = Pipeline(truth.calibration, truth.frames.shape[1:])
     pairs = RawPairs(truth.frames[numbers], "els", numbers)
     for index in range(len(pairs)):
-        pipeline.skip(pairs.lost_before(index))
+        pipeline.tracking.skip(pairs.lost_before(index))
         pipeline.track(pairs(index)[0], index)
     moved = np.diff(truth.starts, axis=0)[numbers]  # in the period of each frame
     velocities = np.array([pose.velocity for pose in pipeline.poses])

@@ -38,14 +38,14 @@ def test_two_threads_give_what_one_gives_bit_for_bit(truth: Truth, method: Metho
 
 def test_images_are_made_on_another_thread_a_few_ahead_of_the_frame_that_is_registered(truth: Truth) -> None:
     two, made_on, ahead = stack(truth, truth.frames), set(), []
-    prepare_image = two.lead.prepare_image
+    prepare_image = two.lead.tracking.prepare_image
 
     def counted(*arguments):
         made_on.add(threading.current_thread().name)
         ahead.append(len(ahead) - len(two.lead.rows))
         prepare_image(*arguments)
 
-    two.lead.prepare_image = counted
+    two.lead.tracking.prepare_image = counted
     two.track(grow=False, threads=2)
     assert max(ahead) <= IMAGES_AHEAD
     assert made_on
@@ -56,14 +56,14 @@ def test_images_are_made_on_another_thread_a_few_ahead_of_the_frame_that_is_regi
 @pytest.mark.parametrize("stage", ["prepare_image", "estimate_pose"])
 def test_what_goes_wrong_with_a_frame_is_raised_and_ends_the_other_thread(truth: Truth, stage: str) -> None:
     two = stack(truth, truth.frames)
-    work, count = getattr(two.lead, stage), iter(range(100))
+    work, count = getattr(two.lead.tracking, stage), iter(range(100))
 
     def breaks(*arguments):
         if next(count) == 5:
             raise InputError("the sixth frame", "leave it out")
         return work(*arguments)
 
-    setattr(two.lead, stage, breaks)
+    setattr(two.lead.tracking, stage, breaks)
     with pytest.raises(InputError, match="the sixth frame"):
         two.track(grow=False, threads=2)
     assert [row.frame for row in two.lead.rows] == list(range(5))

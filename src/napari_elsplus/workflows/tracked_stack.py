@@ -147,7 +147,7 @@ class TrackedStack:
         if grow:
             for index in progress(indices):
                 raw, raw_residual = pairs(index)
-                lead.skip(pairs.lost_before(index))
+                lead.tracking.skip(pairs.lost_before(index))
                 lead.add(raw, pairs.frame(index), self._time_s(index), raw_residual)
                 self.rows.append(lead.rows[-1])
                 self._follow(index)
@@ -155,8 +155,8 @@ class TrackedStack:
         images = tracking_images(lead, map(pairs, indices), len(pairs), threads=threads)
         with closing(iter(images)) as coming:
             for index, image in zip(progress(indices), coming, strict=True):
-                lead.skip(pairs.lost_before(index))
-                lead.note(lead.estimate_pose(image), pairs.frame(index), self._time_s(index))
+                lead.tracking.skip(pairs.lost_before(index))
+                lead.note(lead.tracking.estimate_pose(image), pairs.frame(index), self._time_s(index))
 
     def _time_s(self, index: int) -> float:
         """Return the time of an image in seconds; NaN where times are unknown."""

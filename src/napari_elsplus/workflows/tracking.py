@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
-    from napari_elsplus.processing.tracking.registration.motion_models import MotionModel
-    from napari_elsplus.processing.tracking.registration.pair_registration import TrackedPair
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""
@@ -61,6 +59,8 @@ class Pipeline:
 
     Attributes
     ----------
+    tracking : TrackingMethod
+        Estimates the poses.
     rows : list of TrackPoint
         The track so far, a row for every frame.
     mosaics : dict of int to TiledCanvas
@@ -79,6 +79,9 @@ class Pipeline:
         If there is no such tracking method.
     """
 
+    inserts_tracked_images: ClassVar = True
+    """False where frames are inserted otherwise than as the images by which they are tracked."""
+
     def __init__(
         self,
         calibration: Calibration,
@@ -91,7 +94,7 @@ class Pipeline:
         tracking: TrackingMethod | None = None,
     ) -> None:
         registered, self._mode = tracking_method(method), Mode(mode)
-        self._tracking = tracking or registered.factory(calibration, frame_shape, self._mode)
+        self.tracking = tracking or registered.factory(calibration, frame_shape, self._mode)
         self._camera_um_per_px = calibration.um_per_px
         self._insertion = Insertion(insertion)
         self._new_store = new_store
@@ -110,17 +113,17 @@ class Pipeline:
     @property
     def grid(self) -> Grid:
         """The grid of the tracked images and of the mosaics."""
-        return self._tracking.grid
+        return self.tracking.grid
 
     @property
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
-        return self._tracking.scale
+        return self.tracking.scale
 
     @property
     def camera_px_per_grid_px(self) -> float:
         """Camera pixels per pixel of the tracking grid."""
-        return self._tracking.scale
+        return self.tracking.scale
 
     @property
     def um_per_px(self) -> float | None:
@@ -143,36 +146,22 @@ class Pipeline:
         raw_residual : numpy.ndarray, optional
             (rows, cols) frame of which the residual view is used (ELSA); the same one by default.
         """
-        pose, image = self.locate(raw, raw_residual)
+        raw_residual = raw if raw_residual is None else raw_residual
+        pose, image = self.tracking.track(raw, raw_residual)
         self.note(pose, frame, time_s)
-        self.insert(lambda: image, pose)
+        if self.inserts_tracked_images:
+            self.insert(lambda: image, pose)
+        else:
+            self.insert_raw(pose, len(self.poses) - 1, raw, raw_residual)
         return self.rows[-1]
-
-    def locate(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> tuple[Pose, NDArray[np.float32]]:
-        """Return the pose of a raw frame and its image, valid until the next call; parameters as of :meth:`add`."""
-        return self._tracking.track(raw, raw if raw_residual is None else raw_residual)
 
     def track(
         self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
     ) -> TrackPoint:
         """Do what :meth:`add` does without inserting; :meth:`finish` makes the mosaics."""
-        pose, _ = self.locate(raw, raw_residual)
+        pose, _ = self.tracking.track(raw, raw if raw_residual is None else raw_residual)
         self.note(pose, frame, time_s)
         return self.rows[-1]
-
-    def prepare_image(
-        self, raw: NDArray[Any], out: NDArray[np.float32], raw_residual: NDArray[Any] | None = None
-    ) -> None:
-        """Write the tracking image (side, side) of a raw frame into `out`: the first stage of :meth:`add`."""
-        self._tracking.prepare_image(raw, raw if raw_residual is None else raw_residual, out)
-
-    def skip(self, frames: int) -> None:
-        """Take note of frames that were lost before the next one, in the time of which the probe went on moving."""
-        self._tracking.skip(frames)
-
-    def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
-        """Return the pose of the next frame from its tracking image: the second stage of :meth:`add`."""
-        return self._tracking.estimate_pose(image)
 
     def note(self, pose: Pose, frame: int, time_s: float) -> None:
         """Append the pose of a frame, by its number and its time in seconds, to the track."""
@@ -181,11 +170,8 @@ class Pipeline:
 
     def insert_raw(self, pose: Pose, index: int, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert a raw frame at the pose of its `index` that the pipeline of another mode estimated; as :meth:`add`."""
-        self.insert(lambda: self._corrected(self.image(raw, raw_residual), index), pose)
-
-    def image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> NDArray[np.float32]:
-        """Return the tracking image (side, side) of a raw frame, valid until the next call; as of :meth:`add`."""
-        return self._tracking.image(raw, raw if raw_residual is None else raw_residual)
+        raw_residual = raw if raw_residual is None else raw_residual
+        self.insert(lambda: self._corrected(self.tracking.image(raw, raw_residual), index), pose)
 
     def insert(
         self,
@@ -224,16 +210,6 @@ class Pipeline:
         """Return an empty mosaic with this pipeline's grid, insertion and weights, in a tile store."""
         return Mosaic(self.grid, self._insertion, weights=self._weights, store=store)
 
-    @property
-    def newest_registration(self) -> TrackedPair | None:
-        """The newest registration that was accepted; None if there is none."""
-        return self._tracking.newest_registration
-
-    @property
-    def motion_model(self) -> MotionModel:
-        """The motion model in use."""
-        return self._tracking.motion_model
-
     def discard_segment(self, segment: int) -> None:
         """Remove the mosaic of a segment and mark its frames lost."""
         self.mosaics.pop(segment, None)
@@ -266,7 +242,7 @@ class Pipeline:
         Mosaics stay and tracking continues; :meth:`finish` has nothing to refine then.
         """
         del self.rows[:-1], self.poses[:-1]
-        self._tracking.discard_registrations()
+        self.tracking.discard_registrations()
 
     def refine(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
         """Close loops, join segments and solve the pose graph; mosaics are left as they are.
@@ -277,7 +253,7 @@ class Pipeline:
             Returns, by the index in the order in which frames were added, a raw frame and the frame of which the
             residual view is used.
         """
-        self.poses = self._tracking.refine(self.poses, lambda index: self._tracking.image(*raw_pair(index)))
+        self.poses = self.tracking.refine(self.poses, lambda index: self.tracking.image(*raw_pair(index)))
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
 
     def finish(
@@ -314,7 +290,7 @@ class Pipeline:
         self._estimate_light(raw_pair)
 
         def image(index: int) -> NDArray[np.float32]:
-            return self._corrected(self.image(*raw_pair(index)), index)
+            return self._corrected(self.tracking.image(*raw_pair(index)), index)
 
         if self._tapers_rim:
             self.deformation = estimate_deformation(image, self.poses, self.grid)
@@ -345,7 +321,7 @@ class Pipeline:
         """
         if self._mode is not Mode.ELSA:
             grid = replace(self.grid, line_offset=self._line_offset)
-            self.line_light = estimate_line_light(lambda index: self.image(*raw_pair(index)), self.poses, grid)
+            self.line_light = estimate_line_light(lambda index: self.tracking.image(*raw_pair(index)), self.poses, grid)
 
     @property
     def _light(self) -> NDArray[np.float32] | None:
@@ -360,7 +336,7 @@ class Pipeline:
     @property
     def _scales(self) -> tuple[float, float]:
         """Camera pixels per pixel of the mosaic, and micrometres per camera pixel."""
-        return self._tracking.scale, np.nan if self._camera_um_per_px is None else self._camera_um_per_px
+        return self.tracking.scale, np.nan if self._camera_um_per_px is None else self._camera_um_per_px
 
     def _row(self, pose: Pose, frame: int, time_s: float) -> TrackPoint:
         scale, um = self._scales

@@ -88,7 +88,7 @@ def tracking_images(
 
     def prepare(raw: NDArray[Any], raw_residual: NDArray[Any]) -> NDArray[np.float32]:
         image: NDArray[np.float32] = next(images)
-        pipeline.prepare_image(raw, image, raw_residual)
+        pipeline.tracking.prepare_image(raw, raw_residual, image)
         return image
 
     return ComputedAhead(prepare, frames, count, threads=threads)

@@ -86,7 +86,7 @@ def test_frames_that_the_stream_lost_are_told_by_its_numbers() -> None:
     alone = Pipeline(calibration, frames.shape[1:])
     for k in [*range(12), *range(16, 30)]:
         live.add(frames[k], stamp(k))
-        alone.skip(4 if k == 16 else 0)
+        alone.tracking.skip(4 if k == 16 else 0)
         alone.add(frames[k], k, k / 240)
     assert repr(live.pipeline.rows) == repr(alone.rows)
     assert {row.state for row in alone.rows} == {"tracked"}

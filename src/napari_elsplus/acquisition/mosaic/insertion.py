@@ -105,7 +105,7 @@ class LiveInsertion:
             Keep it as a keyframe, however near the last one is.
         """
         if found.place.state is TrackingState.TRACKED:
-            self._insert(found, self.pipeline.image(raw) if image is None else image, keep=keep)
+            self._insert(found, self.pipeline.tracking.image(raw, raw) if image is None else image, keep=keep)
 
     def _insert(self, found: TrackedFrame, image: NDArray[np.float32], *, keep: bool = False) -> None:
         mosaic = self.pipeline.insert(lambda: image, found.place)
@@ -276,4 +276,4 @@ class ElsaInsertion(LiveInsertion):
                 self._confocal = found
         elif before is not None and found.number == residual and before.number == confocal:
             assert self._raw is not None
-            self._insert(before, self.pipeline.image(self._raw, raw))
+            self._insert(before, self.pipeline.tracking.image(self._raw, raw))

@@ -151,8 +151,8 @@ class LiveTrack:
                 raise self._loop_closure.failed
             number, time_s = self._since_first_frame(stamp)
             if self.pipeline.rows:
-                self.pipeline.skip(number - self.pipeline.rows[-1].frame - 1)
-            pose, image = self.pipeline.locate(raw)
+                self.pipeline.tracking.skip(number - self.pipeline.rows[-1].frame - 1)
+            pose, image = self.pipeline.tracking.track(raw, raw)
             place = self._corrections.newest(pose.segment).of(pose)
             self.pipeline.note(place, number, time_s)
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
@@ -266,12 +266,12 @@ class LiveTrack:
     def _insert(self, found: TrackedFrame, raw: NDArray[np.uint8], image: NDArray[np.float32]) -> None:
         nodes = []
         if found.pose.state is TrackingState.TRACKED and self._loop_closure is not None:
-            nodes = self._selector.add(found.frame, found.pose, self.pipeline.newest_registration)
+            nodes = self._selector.add(found.frame, found.pose, self.pipeline.tracking.newest_registration)
         for mode, insertion in self._insertions.items():
             tracked = mode is self._plan.tracked
             insertion.add(found, raw, image if tracked else None, keep=tracked and bool(nodes))
             for node in nodes if tracked else ():
-                self._queue_node(NewNode(node, insertion.kept.recent(node.frame), self.pipeline.motion_model))
+                self._queue_node(NewNode(node, insertion.kept.recent(node.frame), self.pipeline.tracking.motion_model))
 
     def _queue_node(self, new: NewNode) -> None:
         assert self._loop_closure is not None

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.mosaicing.deformation import Deformation
     from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TileStore
@@ -50,6 +49,8 @@ class FinePipeline(Pipeline):
         As :class:`Pipeline`.
     """
 
+    inserts_tracked_images = False
+
     def __init__(
         self,
         calibration: Calibration,
@@ -61,7 +62,7 @@ class FinePipeline(Pipeline):
     ) -> None:
         super().__init__(calibration, frame_shape, mode, method=method, insertion=insertion)
         self._new_tracked = partial(
-            Pipeline, calibration, frame_shape, mode, method=method, insertion=insertion, tracking=self._tracking
+            Pipeline, calibration, frame_shape, mode, method=method, insertion=insertion, tracking=self.tracking
         )
         self._front_end = FrontEnd(calibration, frame_shape, self._mode, inf)
         self._drawn = self._front_end.grid
@@ -75,14 +76,6 @@ class FinePipeline(Pipeline):
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
         return float(self._drawn.binning)
-
-    def add(
-        self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
-    ) -> TrackPoint:
-        """Track a raw frame and insert it; parameters as of :meth:`Pipeline.add`."""
-        row = self.track(raw, frame, time_s, raw_residual)
-        self.insert_raw(self.poses[-1], len(self.poses) - 1, raw, raw_residual)
-        return row
 
     def insert_raw(self, pose: Pose, index: int, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert a raw frame at the pose of its `index`; others as of :meth:`Pipeline.add`."""

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.io import TrackPoint
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.methods import TrackingMethod
 
@@ -85,6 +84,8 @@ class CorePipeline(Pipeline):
         As :class:`Pipeline`.
     """
 
+    inserts_tracked_images = False
+
     def __init__(
         self,
         calibration: Calibration,
@@ -101,7 +102,7 @@ class CorePipeline(Pipeline):
         )  # fmt: skip
         self._view, self._max_refinements = view, max_refinements
         self._cell_px = view.cores.pitch_px / CELLS_PER_PITCH
-        self._offsets = (view.cores.positions - view.centre) / self._tracking.scale
+        self._offsets = (view.cores.positions - view.centre) / self.tracking.scale
         at = np.rint(self._offsets + self.grid.centre).astype(int).clip(0, self.grid.side - 1)
         self._at = at[:, 0], at[:, 1]
         within = np.hypot(*self._offsets.T) < 0.5 * FIELD * self.grid.diameter
@@ -114,14 +115,6 @@ class CorePipeline(Pipeline):
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
         return self._cell_px
-
-    def add(
-        self, raw: NDArray[Any], frame: int, time_s: float = np.nan, raw_residual: NDArray[Any] | None = None
-    ) -> TrackPoint:
-        """Track a raw frame and insert its cores; parameters as of :meth:`Pipeline.add`."""
-        row = self.track(raw, frame, time_s, raw_residual)
-        self.insert_raw(self.poses[-1], len(self.poses) - 1, raw, raw_residual)
-        return row
 
     def insert_raw(self, pose: Pose, index: int, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> None:
         """Insert the cores of a raw frame at the pose of its `index`; others as of :meth:`Pipeline.add`."""
@@ -197,7 +190,7 @@ class CorePipeline(Pipeline):
         line_periods = self.grid.shutter.line_periods_per_frame
         matrix = turned_by(pose.angle) @ unsheared(pose.velocity, line_periods)
         places: NDArray[np.float64] = self._offsets @ matrix.T + (pose.row, pose.col)
-        return places * (self._tracking.scale / self._cell_px)
+        return places * (self.tracking.scale / self._cell_px)
 
     def _require_motion(self, poses: Sequence[Pose]) -> None:
         needed_px = MIN_TRAVEL_PITCHES * self._view.cores.pitch_px
@@ -205,7 +198,7 @@ class CorePipeline(Pipeline):
             raise InputError(
                 f"{len(poses)} tracked frames", f"insertion by cores needs {MIN_FRAMES}, {needed_px:.1f} px apart"
             )
-        ends = np.array([(pose.row, pose.col) for pose in poses]) * self._tracking.scale
+        ends = np.array([(pose.row, pose.col) for pose in poses]) * self.tracking.scale
         extremes = np.concatenate([ends[np.argmin(ends @ way)][None] for way in _DIRECTIONS])
         travel_px = float(pdist(extremes).max())
         if travel_px < needed_px and len({pose.segment for pose in poses}) == 1:
@@ -221,7 +214,7 @@ class CorePipeline(Pipeline):
         """
         first: dict[int, Placement] = {}
         farthest = 0.0
-        gains, cell = CoreGains(len(self._view.cores)), self._cell_px / self._tracking.scale
+        gains, cell = CoreGains(len(self._view.cores)), self._cell_px / self.tracking.scale
         for index in tracked:
             pose, values = self.poses[index], self._freed(read(index))
             places = self._places(pose)
