@@ -93,7 +93,7 @@ def tracked_live(rig: SimulatedRig, raw: NDArray[np.uint8]) -> list[TrackPoint]:
     live = LiveTrack(rig.calibration, rig.instrument.frame_shape)
     for index, frame in enumerate(raw):
         time_s = index * rig.instrument.optics.frame_period_s
-        live.add(frame, Stamp(index, index, time_s, time_s))
+        live.add(frame, Stamp(index, time_s, time_s, index))
     live.settle()
     live.close()
     return live.pipeline.rows

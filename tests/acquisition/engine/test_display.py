@@ -13,6 +13,7 @@ from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.streaming.ring import Layout, Ring
 from napari_elsplus.acquisition.streaming.shared_memory import SharedRing
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.sectioning import Mode
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def display_of(make: Callable[[Layout], tuple[str, Ring]]) -> tuple[Display, Any]:
+def display_of(make: Callable[[Layout], Ring]) -> tuple[Display, Any]:
     setup: Any = SimpleNamespace(configured=True, frame_shape=(40, 60))
     display = Display(setup, make)
     display.renew()
@@ -31,7 +32,7 @@ def test_a_ring_that_cannot_be_made_leaves_the_display_as_it_was() -> None:
     """Before: the ring in use was retired all the same, closed at the next stop, and written to after that."""
     fails = False
 
-    def make(layout: Layout) -> tuple[str, Ring]:
+    def make(layout: Layout) -> Ring:
         if fails:
             raise OSError(28, "No space left on device")
         return on_the_heap(layout)
@@ -45,14 +46,14 @@ def test_a_ring_that_cannot_be_made_leaves_the_display_as_it_was() -> None:
     display.close_retired()
     assert display.sink is sink
     slot = sink.ring.acquire()
-    sink.ring.finalize(slot, frame_number=1, received_s=0.0, readout_start_s=0.0)
+    sink.ring.finalize(slot, FrameInfo(1, 0.0, 0.0))
     fails = False
     display.renew()
     assert display.sink.ring is not sink.ring
     display.close()
 
 
-@pytest.mark.parametrize("make", [on_the_heap, lambda layout: ("", SharedRing.create(layout))])
+@pytest.mark.parametrize("make", [on_the_heap, SharedRing.create])
 def test_a_ring_is_closed_once_however_often_it_is_asked(make) -> None:
     """Before: AttributeError, the second time."""
     display, _ = display_of(make)

@@ -15,6 +15,7 @@ from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 
@@ -46,7 +47,7 @@ def test_only_frames_that_are_displayed_are_sectioned(
     for number in range(1, sectioned[-1] + 1):
         slot = stream.acquire()
         slot.arrays["raw"][...] = number
-        stream.finalize(slot, frame_number=number, received_s=time.perf_counter(), readout_start_s=0.0)
+        stream.finalize(slot, FrameInfo(number, time.perf_counter(), 0.0))
     while stamp is None and time.perf_counter() < deadline_s:
         stamp = ring.newest_after(-1, {"raw": np.empty(SHAPE, np.uint8)})
     assert added == sectioned
@@ -76,7 +77,7 @@ def test_images_of_one_frame_are_sectioned_into_the_ring_and_a_failure_is_a_faul
     worker = ProcessingWorker(stream, display, tally, faults, None)
     worker.start()
     slot = stream.acquire()
-    stream.finalize(slot, frame_number=0, received_s=time.perf_counter(), readout_start_s=0.0)
+    stream.finalize(slot, FrameInfo(0, time.perf_counter(), 0.0))
     stream.end()
     worker.join(10)
     first = ring.acquire().arrays

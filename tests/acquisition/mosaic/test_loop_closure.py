@@ -52,7 +52,7 @@ class Look:
 
     def add(self, frames: NDArray[np.uint8]) -> None:
         for frame in frames:
-            self.live.add(frame, Stamp(self._added, 100 + self._added, self._added / 240, self._added / 240))
+            self.live.add(frame, Stamp(100 + self._added, self._added / 240, self._added / 240, self._added))
             self._added += 1
 
     def rows(self) -> list[TrackPoint]:

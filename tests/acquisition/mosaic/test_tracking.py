@@ -26,7 +26,7 @@ def truth() -> Truth:
 
 
 def stamp(number: int, later_s: float = 0.0) -> Stamp:
-    return Stamp(number, 100 + number, later_s + number / 240, number / 240)
+    return Stamp(100 + number, later_s + number / 240, number / 240, number)
 
 
 def test_a_stream_without_end_is_tracked_alike_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:

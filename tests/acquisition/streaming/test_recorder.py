@@ -11,6 +11,7 @@ from napari_elsplus.acquisition.streaming.recorder import Recorder, RecordingPla
 from napari_elsplus.acquisition.streaming.stream import FrameStream
 from napari_elsplus.acquisition.streaming.tally import Tally
 from napari_elsplus.errors import InputError
+from napari_elsplus.hardware.protocols import FrameInfo
 from waiting import until
 
 
@@ -29,7 +30,7 @@ def test_a_recording_that_is_stopped_ends_though_no_further_frame_comes(tmp_path
     recorder.start()
     try:
         for number in range(5):
-            stream.finalize(stream.acquire(), frame_number=number, received_s=0.0, readout_start_s=0.01 * number)
+            stream.finalize(stream.acquire(), FrameInfo(number, 0.0, 0.01 * number))
         until(lambda: recorder.frames == 5)
         recorder.stop()
         recorder.join(10)

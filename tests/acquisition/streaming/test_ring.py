@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.streaming.ring import Layout, Ring, Slot
+from napari_elsplus.hardware.protocols import FrameInfo
 
 LAYOUT = Layout(slots=4, fields=(("raw", (30, 40), "uint8"), ("els", (20, 20), "float32")))
 
@@ -14,7 +15,7 @@ def write(ring: Ring, value: int) -> Slot:
     slot = ring.acquire()
     slot.arrays["raw"][...] = value
     slot.arrays["els"][...] = value
-    ring.finalize(slot, frame_number=10 + value, received_s=value / 240, readout_start_s=value / 240)
+    ring.finalize(slot, FrameInfo(10 + value, value / 240, value / 240))
     return slot
 
 
@@ -71,7 +72,7 @@ def test_a_reader_never_sees_pieces_of_two_frames() -> None:
         while not done.is_set():
             slot = writer.acquire()
             slot.arrays["raw"][...] = k % 251
-            writer.finalize(slot, frame_number=k, received_s=0.0, readout_start_s=0.0)
+            writer.finalize(slot, FrameInfo(k, 0.0, 0.0))
             k += 1
 
     thread = Thread(target=run)

@@ -10,6 +10,7 @@ import pytest
 
 from napari_elsplus.acquisition.streaming import shared_memory as shared
 from napari_elsplus.acquisition.streaming.ring import Layout
+from napari_elsplus.hardware.protocols import FrameInfo
 
 ATTACH = """
 import sys
@@ -89,7 +90,7 @@ def test_a_ring_is_closed_only_when_nobody_copies_from_it() -> None:
     layout = Layout(slots=3, fields=(("raw", (1500, 1500), "uint8"),))
     owner = shared.SharedRing.create(layout)
     try:
-        owner.finalize(owner.acquire(), frame_number=0, received_s=0.0, readout_start_s=0.0)
+        owner.finalize(owner.acquire(), FrameInfo(0, 0.0, 0.0))
         for _ in range(50):
             reader = shared.SharedRing.attach(owner.name, layout)
             out = {"raw": np.empty((1500, 1500), np.uint8)}

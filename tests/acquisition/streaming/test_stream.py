@@ -7,6 +7,7 @@ from time import sleep
 import pytest
 
 from napari_elsplus.acquisition.streaming.stream import FrameStream
+from napari_elsplus.hardware.protocols import FrameInfo
 
 SHAPE = (4, 6)
 
@@ -16,7 +17,7 @@ def put(stream: FrameStream, count: int) -> None:
     for _ in range(count):
         slot = stream.acquire()
         slot.arrays["raw"][...] = slot.sequence
-        stream.finalize(slot, frame_number=slot.sequence, received_s=slot.sequence / 240, readout_start_s=0.0)
+        stream.finalize(slot, FrameInfo(slot.sequence, slot.sequence / 240, 0.0))
 
 
 def numbers(stream: FrameStream, cursor: object) -> list[int]:
@@ -141,7 +142,7 @@ def test_stamps_carry_the_camera_s_number_and_time() -> None:
     stream = FrameStream(SHAPE, 4)
     cursor = stream.join()
     slot = stream.acquire()
-    stream.finalize(slot, frame_number=71, received_s=3.5, readout_start_s=1.5)
+    stream.finalize(slot, FrameInfo(71, 3.5, 1.5))
     _, stamp = cursor.take(0)  # type: ignore[misc]
     assert (stamp.sequence, stamp.frame_number, stamp.received_s) == (0, 71, 3.5)
     assert stamp.readout_start_s == 1.5

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.streaming.tally import Tally
+from napari_elsplus.hardware.protocols import FrameInfo
 
 
 @pytest.mark.parametrize("lost", [1, 3], ids=["no frame lost", "two of three lost"])
@@ -13,7 +14,7 @@ def test_frames_that_arrive_in_a_burst_do_not_change_the_rate_of_the_camera(lost
     tally = Tally()
     received_s = np.r_[np.arange(100) / 240, 0.6 + 1e-3 * np.arange(100)]
     for number, time_s in zip(range(0, 200 * lost, lost), received_s, strict=True):
-        tally.arrived(float(time_s), number, 7.0 + number / 240)
+        tally.arrived(FrameInfo(number, float(time_s), 7.0 + number / 240))
     assert tally.camera_hz == pytest.approx(240)
     assert tally.acquired == 200
 
@@ -23,14 +24,14 @@ def test_the_rate_is_that_of_the_last_frames() -> None:
     time_s = 0.0
     for number in range(300):
         time_s += 1 / 240 if number < 150 else 1 / 100
-        tally.arrived(time_s, number, time_s)
+        tally.arrived(FrameInfo(number, time_s, time_s))
     assert tally.camera_hz == pytest.approx(100)
 
 
 def test_of_one_frame_there_is_no_rate() -> None:
     tally = Tally()
     assert np.isnan(tally.camera_hz)
-    tally.arrived(1.0, 5, 1.0)
+    tally.arrived(FrameInfo(5, 1.0, 1.0))
     assert np.isnan(tally.camera_hz)
 
 

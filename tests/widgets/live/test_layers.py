@@ -10,6 +10,7 @@ import pytest
 from napari_elsplus._writer import write_image
 from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.streaming.ring import Ring
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.io import open_recording
 from napari_elsplus.widgets.live.layers import LiveLayers
 from pairs import calibration, write_pair
@@ -52,7 +53,7 @@ def stream(viewer):
         slot = ring.acquire()
         slot.arrays["ls"][...] = noise
         slot.arrays["ls"][8:24, 8:24] += light
-        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+        ring.finalize(slot, FrameInfo(0, 0.0, 0.0))
         layers.update(ring, whole=whole)
         return tuple(layers.images["ls"].contrast_limits)
 

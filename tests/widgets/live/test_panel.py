@@ -25,6 +25,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.errors import CancelledError, DeviceError, InputError
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import open_recording, read_calibration, write_calibration
 from napari_elsplus.io.settings import active_calibration, recall, remember
@@ -514,7 +515,7 @@ def test_what_is_filled_in_place_is_what_the_canvas_shows(make_napari_viewer_pro
     def shown(level, whole):
         slot = ring.acquire()
         slot.arrays["els"][...] = level
-        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+        ring.finalize(slot, FrameInfo(0, 0.0, 0.0))
         assert layers.update(ring, whole=whole) is not None
         viewer.layers["live ELS+"].contrast_limits = (0, 100)
         picture = viewer.screenshot(canvas_only=True, flash=False)
@@ -535,7 +536,7 @@ def test_a_hidden_layer_of_another_preset_is_not_filled(make_napari_viewer_proxy
             pass
         slot = ring.acquire()
         slot.arrays["raw"][...] = rows
-        ring.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+        ring.finalize(slot, FrameInfo(0, 0.0, 0.0))
         assert layers.update(ring, whole=True) is not None
     raw = layers.images["raw"].data
     assert raw.shape == (128, 128)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
 
 
-def on_the_heap(layout: Layout) -> tuple[str, Ring]:
+def on_the_heap(layout: Layout) -> Ring:
     """Make a display ring of a layout in this process alone."""
-    return "", Ring(bytearray(layout.nbytes), layout)
+    return Ring(bytearray(layout.nbytes), layout)
 
 
 class DisplaySink(NamedTuple):
@@ -36,7 +36,7 @@ class Display:
     setup : CameraSetup
         Settings of the camera.
     make_ring : callable
-        Makes a ring of a layout, and returns its name and the ring.
+        Makes a ring of a layout.
 
     Attributes
     ----------
@@ -46,18 +46,15 @@ class Display:
         Why it cannot be applied to the frames as configured now; raw frames are displayed then.
     sink : DisplaySink or None
         Makes the images, with their ring; None until the camera was configured.
-    where : tuple or None
-        Name and layout of the ring, for readers.
     """
 
-    def __init__(self, setup: CameraSetup, make_ring: Callable[[Layout], tuple[str, Ring]]) -> None:
+    def __init__(self, setup: CameraSetup, make_ring: Callable[[Layout], Ring]) -> None:
         self._setup, self._make_ring = setup, make_ring
         self._view: LiveView | None = LiveView()
         self._retired: list[Ring] = []
         self.calibration: Calibration | None = None
         self.misfit: CalibrationError | None = None
         self.sink: DisplaySink | None = None
-        self.where: tuple[str, Layout] | None = None
 
     def activate(self, calibration: Calibration | None, *, restoring: bool = False) -> None:
         """Activate a calibration.
@@ -122,13 +119,12 @@ class Display:
             if not raw_if_misfit:
                 raise
             images, misfit = LiveImages(shape, None, self._view), error
-        if self.sink is not None and self.where is not None and self.where[1] == images.layout:
+        if self.sink is not None and self.sink.ring.layout == images.layout:
             ring = self.sink.ring
         else:
-            name, ring = self._make_ring(images.layout)
+            ring = self._make_ring(images.layout)
             if self.sink is not None:
                 self._retired.append(self.sink.ring)
-            self.where = (name, images.layout)
         self.sink, self.misfit = DisplaySink(images, ring), misfit
 
     def close_retired(self) -> None:
@@ -141,4 +137,4 @@ class Display:
         self.close_retired()
         if self.sink is not None:
             self.sink.ring.close()
-        self.sink = self.where = None
+        self.sink = None

@@ -53,7 +53,7 @@ class Engine(ClosedOnExit):
     rig : Rig
         Open; owned by the engine from now on.
     make_ring : callable
-        Makes the display's ring of a layout, and returns its name and the ring; on the heap by default.
+        Makes the display's ring of a layout; on the heap by default.
     buffer_s : float
         Seconds of raw frames that stay in memory, for slow disks and for recordings that begin in the past.
 
@@ -71,7 +71,7 @@ class Engine(ClosedOnExit):
         self,
         rig: Rig,
         *,
-        make_ring: Callable[[Layout], tuple[str, Ring]] = on_the_heap,
+        make_ring: Callable[[Layout], Ring] = on_the_heap,
         buffer_s: float = BUFFER_S,
     ) -> None:
         self._rig, self._buffer_s = rig, buffer_s
@@ -283,6 +283,7 @@ class Engine(ClosedOnExit):
     def status(self) -> Status:
         """Return counts, faults and what is in operation."""
         status = Status() if self._run is None else self._run.status(live=self._live)
+        ring = self.display
         return replace(
             status,
             configured=self.setup.configured,
@@ -291,7 +292,7 @@ class Engine(ClosedOnExit):
             scanning=self.galvo.scanning,
             park_state=self.galvo.park_state,
             disk_bytes_per_s=self.setup.bytes_per_s,
-            display=self._display.where,
+            display=None if ring is None else (ring.name, ring.layout),
             faults=self._faults.all(),
             stale={} if self._run is None else self.setup.stale(self.calibration),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from math import inf
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, Protocol
@@ -167,22 +168,20 @@ class CameraWorker(Thread):
             info = self._received_into(slot)
             if info is None:
                 continue
-            readout_start_s = clock.readout_start_s(info)
+            info = replace(info, readout_start_s=clock.readout_start_s(info))
             if clock.jump_s:
                 jumped = DeviceError("the clock of the camera jumped", "times follow its frame numbers")
                 self._faults.add("clock", jumped)
             self.received = info.frame_number + 1
-            self._relate_clocks(info, readout_start_s)
+            self._relate_clocks(info)
             if not settled:
-                settled = self._settles_with(info, readout_start_s)
+                settled = self._settles_with(info)
                 self._lost_before = dict(camera.dropped)  # frames lost before the first one used do not count
                 if not settled:
                     continue
             self._count_losses(info.frame_number)
-            self._tally.arrived(info.received_s, info.frame_number, readout_start_s)
-            stream.finalize(  # last: it wakes the threads that wait for the frame
-                slot, frame_number=info.frame_number, received_s=info.received_s, readout_start_s=readout_start_s
-            )
+            self._tally.arrived(info)
+            stream.finalize(slot, info)  # last: it wakes the threads that wait for the frame
 
     def _received_into(self, slot: Slot) -> FrameInfo | None:
         """Read the next frame into a slot; None if none comes shortly, a DeviceError if none comes any more."""
@@ -197,22 +196,22 @@ class CameraWorker(Thread):
         self._last_s = info.received_s
         return info
 
-    def _relate_clocks(self, info: FrameInfo, readout_start_s: float) -> None:
+    def _relate_clocks(self, info: FrameInfo) -> None:
         """Estimate where zero of the camera's clock lies on the computer's, by the first frame and by later ones."""
         if self.camera_clock_s == -inf:
             measured_s = self._camera.clock_zero_s if isinstance(self._camera, HasClock) else None
             if measured_s is None:
                 self._start_takes_s = _START_TAKES_S
-                first_exposed_s = readout_start_s - info.frame_number * self._frame_period_s
+                first_exposed_s = info.readout_start_s - info.frame_number * self._frame_period_s
                 measured_s = self._started_s - _START_TAKES_S - first_exposed_s
             self.camera_clock_s = measured_s
-        latest_s = info.received_s - readout_start_s - self._readout_s  # no frame comes before it was read
+        latest_s = info.received_s - info.readout_start_s - self._readout_s  # no frame comes before it was read
         self.camera_clock_s = min(self.camera_clock_s, latest_s)
 
-    def _settles_with(self, info: FrameInfo, readout_start_s: float) -> bool:
+    def _settles_with(self, info: FrameInfo) -> bool:
         """Return True if the stream may begin with a frame: it is valid, and in time unless the computer stays busy."""
         received_s = info.received_s
-        due_s = readout_start_s + self.camera_clock_s + self._start_takes_s + self._frame_period_s
+        due_s = info.readout_start_s + self.camera_clock_s + self._start_takes_s + self._frame_period_s
         in_time = received_s - due_s < self._frame_period_s or received_s - self._started_s > _MAX_SETTLING_S
         return in_time and info.frame_number >= self._settling
 
@@ -322,6 +321,4 @@ class ProcessingWorker(Thread):
         slot = sink.ring.acquire()
         self.measures = sink.images.fill(raw, slot.arrays)
         self._tally.displayed(self.measures.saturated)
-        sink.ring.finalize(
-            slot, frame_number=stamp.frame_number, received_s=stamp.received_s, readout_start_s=stamp.readout_start_s
-        )
+        sink.ring.finalize(slot, stamp)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from threading import Condition, Lock
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import ProcedureProgress, Status
@@ -22,7 +22,6 @@ from napari_elsplus.hardware.priority import settle_memory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from napari_elsplus.acquisition.streaming.ring import Layout, Ring
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
@@ -130,6 +129,12 @@ class Newest(Generic[T]):
             return self._number, self._value
 
 
+class _Opened(NamedTuple):
+    rig: Rig
+    engine: Engine
+    mosaic: LiveMosaic
+
+
 class Session:
     """At most one open rig; commands are executed on it.
 
@@ -148,7 +153,7 @@ class Session:
 
     def __init__(self, open_rig: Callable[[str], Rig]) -> None:
         self._open_rig = open_rig
-        self._opened: tuple[Rig, Engine, LiveMosaic] | None = None
+        self._opened: _Opened | None = None
         self._cancelled_s = self._given_s = -inf
         self._progress: ProcedureProgress | None = None
         self._compiling = ""
@@ -166,8 +171,8 @@ class Session:
         """
         self.close()
         opened = self._open_rig(rig)
-        engine = Engine(opened, make_ring=_shared_ring)
-        self._opened = opened, engine, LiveMosaic(engine)
+        engine = Engine(opened, make_ring=SharedRing.create)
+        self._opened = _Opened(opened, engine, LiveMosaic(engine))
         settle_memory()
 
     def close(self) -> None:
@@ -183,22 +188,22 @@ class Session:
     @property
     def rig(self) -> Rig:
         """The open rig; as `engine` and `mosaic` a DeviceError where there is none."""
-        return self._require()[0]
+        return self._require().rig
 
     @property
     def engine(self) -> Engine:
         """The engine of the open rig."""
-        return self._require()[1]
+        return self._require().engine
 
     @property
     def mosaic(self) -> LiveMosaic:
         """The live mosaic of the open rig."""
-        return self._require()[2]
+        return self._require().mosaic
 
     @property
     def calibration(self) -> Calibration | None:
         """The active calibration; None without a rig."""
-        return None if self._opened is None else self._opened[1].calibration
+        return None if self._opened is None else self._opened.engine.calibration
 
     @property
     def status(self) -> Status:
@@ -223,7 +228,7 @@ class Session:
         """Park and end a recording for a fault."""
         opened = self._opened
         if opened is not None:
-            opened[1].secure(fault)
+            opened.engine.secure(fault)
 
     @contextmanager
     def procedure(self, name: str, given_s: float, *, activates: bool) -> Iterator[None]:
@@ -268,12 +273,7 @@ class Session:
             self._progress = ProcedureProgress(step, done, len(every))
             yield number
 
-    def _require(self) -> tuple[Rig, Engine, LiveMosaic]:
+    def _require(self) -> _Opened:
         if self._opened is None:
             raise DeviceError("no rig is open", "connect to a rig first")
         return self._opened
-
-
-def _shared_ring(layout: Layout) -> tuple[str, Ring]:
-    ring = SharedRing.create(layout)
-    return ring.name, ring

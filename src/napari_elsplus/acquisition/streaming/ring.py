@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from napari_elsplus.hardware.protocols import FrameInfo
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -79,25 +81,18 @@ class Slot:
 
 
 @dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(FrameInfo):
     """Number and times of the frame in a slot.
 
     Parameters
     ----------
+    frame_number, received_s, readout_start_s
+        As of :class:`~napari_elsplus.hardware.protocols.FrameInfo`.
     sequence : int
         Position in the order of writing, from 0.
-    frame_number : int
-        The camera's number.
-    received_s : float
-        Time of its last byte, on the clock of ``time.perf_counter``.
-    readout_start_s : float
-        Start of its readout, on the camera's clock: evenly spaced, arbitrary zero.
     """
 
     sequence: int
-    frame_number: int
-    received_s: float
-    readout_start_s: float
 
 
 class Ring:
@@ -112,11 +107,12 @@ class Ring:
 
     Examples
     --------
+    >>> from napari_elsplus.hardware.protocols import FrameInfo
     >>> layout = Layout(slots=3, fields=(("els", (2, 2), "float32"),))
     >>> ring = Ring(bytearray(layout.nbytes), layout)
     >>> slot = ring.acquire()
     >>> slot.arrays["els"][...] = 7
-    >>> ring.finalize(slot, frame_number=12, received_s=0.05, readout_start_s=0.0)
+    >>> ring.finalize(slot, FrameInfo(frame_number=12, received_s=0.05, readout_start_s=0.0))
     >>> out = {"els": np.empty((2, 2), np.float32)}
     >>> stamp = ring.newest_after(-1, out)
     >>> stamp.frame_number, float(out["els"][0, 0])
@@ -124,6 +120,9 @@ class Ring:
     >>> ring.newest_after(stamp.sequence, out) is None
     True
     """
+
+    name = ""
+    """Name by which other processes attach to it; empty where they cannot."""
 
     def __init__(self, memory: Any, layout: Layout) -> None:
         self.layout = layout
@@ -148,25 +147,19 @@ class Ring:
         self._states[index] = _BEING_WRITTEN
         return Slot(self._next, self._arrays[index])
 
-    def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
-        """Publish an acquired slot with its frame number and the times received and start of readout."""
+    def finalize(self, slot: Slot, info: FrameInfo) -> None:
+        """Publish an acquired `slot` with the `info` of its frame."""
         header = self._headers[slot.sequence % self.layout.slots]
-        header["frame_number"], header["received_s"], header["readout_start_s"] = (
-            frame_number,
-            received_s,
-            readout_start_s,
-        )
+        header["frame_number"] = info.frame_number
+        header["received_s"] = info.received_s
+        header["readout_start_s"] = info.readout_start_s
         header["state"] = slot.sequence + 1
         self._next = slot.sequence + 1
 
     def stamp(self, sequence: int) -> Stamp | None:
         """Return number and times of the frame of a sequence number; None if it is not in the ring, or not any more."""
-        header = self._headers[sequence % self.layout.slots].copy()
-        if header["state"] != sequence + 1:
-            return None
-        return Stamp(
-            sequence, int(header["frame_number"]), float(header["received_s"]), float(header["readout_start_s"])
-        )
+        state, frame_number, received_s, readout_start_s = self._headers[sequence % self.layout.slots].item()
+        return Stamp(frame_number, received_s, readout_start_s, sequence) if state == sequence + 1 else None
 
     def newest_after(self, sequence: int, out: Mapping[str, NDArray[Any]]) -> Stamp | None:
         """Copy the newest frame, if it is later than a sequence number.

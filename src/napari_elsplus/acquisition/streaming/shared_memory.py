@@ -12,6 +12,8 @@ from pathlib import Path
 from secrets import token_hex
 from typing import TYPE_CHECKING, Final
 
+import psutil
+
 from napari_elsplus.acquisition.streaming.ring import Ring
 from napari_elsplus.errors import DeviceError
 
@@ -93,6 +95,7 @@ class SharedRing(Ring):
     def __init__(self, segment: SharedMemory, layout: Layout, *, owned: bool) -> None:
         super().__init__(segment.buf, layout)
         self._segment, self._owned = segment, owned
+        self.name = segment.name
 
     @classmethod
     def create(cls, layout: Layout) -> SharedRing:
@@ -109,11 +112,6 @@ class SharedRing(Ring):
             If there is none.
         """
         return cls(attach(name), layout, owned=False)
-
-    @property
-    def name(self) -> str:
-        """Name by which others attach."""
-        return self._segment.name
 
     def close(self) -> None:
         """Release the memory once no reader copies from it; the owner deletes it. Does nothing the second time."""
@@ -136,21 +134,11 @@ def sweep() -> list[str]:
     gone = []
     for path in _FOLDER.glob(f"{_PREFIX}-*-*") if _FOLDER.is_dir() else ():
         owner = path.name.split("-")[1]
-        if owner.isdecimal() and not _process_exists(int(owner)) and not _locked(path):
+        if owner.isdecimal() and not psutil.pid_exists(int(owner)) and not _locked(path):
             with suppress(FileNotFoundError, PermissionError):
                 path.unlink()
                 gone.append(path.name)
     return gone
-
-
-def _process_exists(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def _locked(path: Path) -> bool:

@@ -18,6 +18,8 @@ from napari_elsplus.acquisition.streaming.ring import Slot, Stamp
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_elsplus.hardware.protocols import FrameInfo
+
 
 class Cursor:
     """A consumer's position in the stream: it holds one frame at a time.
@@ -92,11 +94,12 @@ class FrameStream:
 
     Examples
     --------
+    >>> from napari_elsplus.hardware.protocols import FrameInfo
     >>> stream = FrameStream((2, 3), frames=4)
     >>> cursor = stream.join()
     >>> slot = stream.acquire()
     >>> slot.arrays["raw"][...] = 9
-    >>> stream.finalize(slot, frame_number=0, received_s=0.0, readout_start_s=0.0)
+    >>> stream.finalize(slot, FrameInfo(frame_number=0, received_s=0.0, readout_start_s=0.0))
     >>> frame, stamp = cursor.take(timeout_s=0)
     >>> int(frame.max()), stamp.frame_number
     (9, 0)
@@ -136,9 +139,9 @@ class FrameStream:
             self._stamps[index] = None
             return Slot(self.written, self._arrays[index])
 
-    def finalize(self, slot: Slot, *, frame_number: int, received_s: float, readout_start_s: float) -> None:
-        """Publish a filled slot with its frame number and the times received and start of readout."""
-        stamp = Stamp(slot.sequence, frame_number, received_s, readout_start_s)
+    def finalize(self, slot: Slot, info: FrameInfo) -> None:
+        """Publish a filled `slot` with the `info` of its frame."""
+        stamp = Stamp(info.frame_number, info.received_s, info.readout_start_s, slot.sequence)
         with self._lock:
             self._stamps[slot.sequence % self.depth] = stamp
             self.written = slot.sequence + 1

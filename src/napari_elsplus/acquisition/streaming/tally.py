@@ -12,6 +12,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from napari_elsplus.hardware.protocols import FrameInfo
+
 _BINS_PER_MS: Final = 50
 """Bins of 0.02 ms, chosen: a hundredth of the median latency."""
 _QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
@@ -90,22 +92,12 @@ class Tally:
         self._last_s = nan
         self._saturated = self._displayed = 0.0
 
-    def arrived(self, received_s: float, frame_number: int, readout_start_s: float) -> None:
-        """Count a frame that went into the stream.
-
-        Parameters
-        ----------
-        received_s : float
-            Time of its last byte, seconds.
-        frame_number : int
-            The camera's number.
-        readout_start_s : float
-            When its readout began on the camera's clock, seconds.
-        """
+    def arrived(self, info: FrameInfo) -> None:
+        """Count a frame that went into the stream, by its `info`."""
         if not self.acquired:
-            self.first_s = received_s
-        self._last_s = received_s
-        self._numbered_s.append((frame_number, readout_start_s))
+            self.first_s = info.received_s
+        self._last_s = info.received_s
+        self._numbered_s.append((info.frame_number, info.readout_start_s))
         self.acquired += 1
 
     def displayed(self, saturated: float) -> None:
