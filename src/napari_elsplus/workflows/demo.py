@@ -20,10 +20,8 @@ from napari_elsplus.io import (
 )
 from napari_elsplus.io.atomic import in_folder
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
-from napari_elsplus.processing.calibration.calibrate import measure
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.progress import Progress, without_display
-from napari_elsplus.simulation import calibration_scenes as bench
 from napari_elsplus.simulation.accuracy import (
     TrackErrors,
     calibration_errors,
@@ -35,12 +33,14 @@ from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.specimen.trajectories import Straight, trajectory
 from napari_elsplus.simulation.truth import motion
+from napari_elsplus.workflows.calibration import calibrate
 from napari_elsplus.workflows.comparison import compare
 from napari_elsplus.workflows.mosaicing import mosaic
 from napari_elsplus.workflows.pictures.comparison import draw_comparison
 from napari_elsplus.workflows.pictures.contact_sheet import draw_contact_sheet
 from napari_elsplus.workflows.pictures.files import save_figure
 from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.simulated import simulate_calibration
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -144,19 +144,17 @@ def run_demo(folder: Path, *, force: bool = False, progress: Progress = without_
 
 def _calibrate(stage: _Stage) -> Calibration:
     """Measure the calibration from frames of the simulated rig, as on a real one."""
-    instrument = stage.instrument
-    volts = bench.sweep_volts(instrument)
-    sweep = bench.standing_line(instrument, volts, seed=_SEED)
-    draft = measure(
-        line=list(bench.standing_line(instrument, bench.line_volts(instrument), seed=_SEED)),
-        sweep=[sweep[k] for k in stage.progress(range(len(volts)), "sweeping the line")],
-        volts=volts,
-        bundle=list(bench.transmission(instrument, seed=_SEED)),
-        background=list(bench.dark_tube(instrument, seed=_SEED)),
-        um_per_px=instrument.optics.um_per_px,
-        line_period_s=instrument.optics.line_period_s,
-        line_periods_per_frame=instrument.optics.line_periods_per_frame,
-        progress=lambda numbers: stage.progress(numbers, "fitting the line"),
+    taken, optics = simulate_calibration(seed=_SEED), stage.instrument.optics
+    draft = calibrate(
+        line=taken.line,
+        sweep=taken.sweep,
+        volts=taken.volts,
+        bundle=taken.bundle,
+        background=taken.background,
+        um_per_px=taken.um_per_px,
+        line_period_s=optics.line_period_s,
+        line_periods_per_frame=optics.line_periods_per_frame,
+        progress=stage.progress,
     )
     write_calibration(stage.folder / "calibration.json", draft.calibration, force=stage.force)
     return draft.calibration
