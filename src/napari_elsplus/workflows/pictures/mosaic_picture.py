@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import cv2
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from napari_elsplus.workflows.pictures.files import DPI
-from napari_elsplus.workflows.pictures.scale_bar import bar_length, length_label
+from napari_elsplus.workflows.pictures.scale_bar import draw_scale_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 
 MAX_SIDE_PX: Final = 4000
 """Pixels of the longer side of the picture; larger mosaics are reduced by area averaging. Chosen for viewers."""
-_BAR_SHARE: Final = 0.25
-"""Largest length of the scale bar, fraction of the picture's width; chosen."""
 _MIN_SIDE_PX: Final = 300
 """Pixels of the shorter side below which pixels are repeated, so that the scale bar can be read. Chosen."""
 
@@ -45,12 +42,6 @@ def draw_mosaic(image: NDArray[np.float32], um_per_px: float | None, white: floa
     axes.set_axis_off()
     axes.imshow(small, cmap="gray", vmin=0, vmax=white, interpolation="nearest", aspect="auto")
     if um_per_px is not None:
-        length_um = bar_length(_BAR_SHARE * cols * shrink * um_per_px)
-        length, thick = length_um / (um_per_px * shrink), max(2.0, 0.008 * rows)
-        left, top = 0.97 * cols - length, 0.97 * rows - thick
-        axes.add_patch(Rectangle((left, top), length, thick, facecolor="white", edgecolor="black", linewidth=0.5))
-        axes.text(
-            left + length / 2, top - 0.6 * thick, length_label(length_um), color="white", ha="center", va="bottom",
-            fontsize=max(8.0, 0.03 * min(rows, cols) * grow * 72 / DPI),
-        )  # fmt: skip
+        font_pt = max(8.0, 0.03 * min(rows, cols) * grow * 72 / DPI)
+        draw_scale_bar(axes, small.shape, um_per_px * shrink, font_pt)
     return figure

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 MAX_SHARE: Final = 0.32
 """Largest length of a bar, relative to the picture's width; chosen."""
+_LINE: Final = 0.2
+"""Thickness of the bar and of the label's outline, relative to the label's size; chosen."""
 
 
 def draw_scale_bar(
@@ -37,10 +39,10 @@ def draw_scale_bar(
     top, left = corner
     right, bottom = left + 0.97 * cols, top + 0.96 * rows
     axes.plot(
-        [right - length_um / um_per_px, right], [bottom] * 2, color="white", linewidth=1.5, solid_capstyle="butt",
-        scalex=False, scaley=False,
+        [right - length_um / um_per_px, right], [bottom] * 2, color="white", linewidth=_LINE * font_pt,
+        solid_capstyle="butt", scalex=False, scaley=False,
     )  # fmt: skip
-    outline = [withStroke(linewidth=1.5, foreground="black")]
+    outline = [withStroke(linewidth=_LINE * font_pt, foreground="black")]
     axes.text(
         right, top + 0.94 * rows, length_label(length_um), color="white", ha="right", va="bottom", fontsize=font_pt,
         path_effects=outline,
