@@ -140,9 +140,7 @@ class Renderer:
         readout = self._disturbances.readout(frame_index) if self._disturbances else UNDISTURBED
         left, right = (view.spots for view in self._views)
         expose(
-            out,
-            left.first, left.column, left.cores, left.weights, core_dn[0] * np.float32(left.scale),
-            right.first, right.column, right.cores, right.weights, core_dn[1] * np.float32(right.scale),
+            out, left, core_dn[0] * np.float32(left.scale), right, core_dn[1] * np.float32(right.scale),
             self._row_signal, *readout,
             camera.black_dn, camera.electrons_per_dn, camera.read_noise_e, _noise_key(self._seed, frame_index),
         )  # fmt: skip

@@ -88,15 +88,9 @@ def spread_spots(
 @kernel
 def expose(
     out: NDArray[np.uint8],
-    left_first: NDArray[np.int64],
-    left_column: NDArray[np.int64],
-    left_cores: NDArray[np.uint16],
-    left_weights: NDArray[np.uint8],
+    left: Spots,
     left_values: NDArray[np.float32],
-    right_first: NDArray[np.int64],
-    right_column: NDArray[np.int64],
-    right_cores: NDArray[np.uint16],
-    right_weights: NDArray[np.uint8],
+    right: Spots,
     right_values: NDArray[np.float32],
     row_signal: NDArray[np.float32],
     row_power: NDArray[np.float32] | None,
@@ -120,12 +114,10 @@ def expose(
     ----------
     out : numpy.ndarray
         (rows, cols) output.
-    left_first, left_column, left_cores, left_weights : numpy.ndarray
-        Fields of the confocal view's `Spots`.
-    left_values : numpy.ndarray
-        (cores,) grey levels, times the scale of the spots.
-    right_first, right_column, right_cores, right_weights, right_values : numpy.ndarray
-        The same of the residual view.
+    left, right : Spots
+        Of the confocal and of the residual view.
+    left_values, right_values : numpy.ndarray
+        (cores,) grey levels of each, times the scale of its spots.
     row_signal : numpy.ndarray
         (2, 2 cols) scratch, zero at the first call.
     row_power, row_black_dn : numpy.ndarray or None
@@ -157,17 +149,15 @@ def expose(
         for c in range(cols):
             light[c] = 0
             seen[c] = 0
-        _spread_row(light, left_column[r], left_first[r], left_first[r + 1], left_cores, left_weights, left_values)
-        _spread_row(
-            light, right_column[r], right_first[r], right_first[r + 1], right_cores, right_weights, right_values
-        )
+        _spread_row(light, r, left, left_values)
+        _spread_row(light, r, right, right_values)
         row_black = black
         if row_power is not None and row_black_dn is not None and pixel_gain is not None:
             row_black += row_black_dn[r]
             power, gain = row_power[r] * np.float32(GAIN_UNIT), pixel_gain[r]
-            left_end = left_column[r] + left_first[r + 1] - left_first[r]
-            right_end = right_column[r] + right_first[r + 1] - right_first[r]
-            begin = min(left_column[r], right_column[r])  # before it there is no light, nor behind the end
+            left_end = left.column[r] + left.first[r + 1] - left.first[r]
+            right_end = right.column[r] + right.first[r + 1] - right.first[r]
+            begin = min(left.column[r], right.column[r])  # before it there is no light, nor behind the end
             end = min(cols, max(left_end, right_end) + (cols // GHOST_PART if ghost > 0 else 0))
             _disturb(seen[begin:end], light[begin:end], left_of[begin:end], gain[begin:end], power, ghost)
         if hot_first is not None and hot_column is not None and hot_dn is not None:
@@ -208,18 +198,12 @@ def _disturb(
 
 
 @kernel
-def _spread_row(
-    light: NDArray[np.float32],
-    column: int,
-    first: int,
-    last: int,
-    cores: NDArray[np.uint16],
-    weights: NDArray[np.uint8],
-    values: NDArray[np.float32],
-) -> None:
+def _spread_row(light: NDArray[np.float32], r: int, spots: Spots, values: NDArray[np.float32]) -> None:
+    column, first, last = spots.column[r], spots.first[r], spots.first[r + 1]
     row = light[column : column + last - first]
-    core0, core1, core2 = cores[0, first:last], cores[1, first:last], cores[2, first:last]
-    weight0, weight1, weight2 = weights[0, first:last], weights[1, first:last], weights[2, first:last]
+    cores, weights = spots.cores[:, first:last], spots.weights[:, first:last]
+    core0, core1, core2 = cores[0], cores[1], cores[2]
+    weight0, weight1, weight2 = weights[0], weights[1], weights[2]
     for p in range(last - first):
         row[p] += (
             np.float32(weight0[p]) * values[core0[p]]
