@@ -7,6 +7,7 @@ bisection finds.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -69,16 +70,13 @@ class StridedTiff(FrameSource):
 
     def _whole_pages(self, file: io.BufferedReader, last: int) -> int:
         """Return the number of complete pages, which begin at offset `last` at most; later ones a crash cut off."""
-        low, high = 1, max((last - self._ifd) // self._stride + 1, 1)
-        while low < high:
-            middle = (low + high + 1) // 2
-            low, high = (middle, high) if self._is_page(file, middle - 1) else (low, middle - 1)
-        return low
+        most = max((last - self._ifd) // self._stride + 1, 1)
+        return bisect_left(range(most), True, lo=1, key=lambda index: self._is_cut_off(file, index))
 
-    def _is_page(self, file: io.BufferedReader, index: int) -> bool:
+    def _is_cut_off(self, file: io.BufferedReader, index: int) -> bool:
         ifd = self._ifd + index * self._stride
         same_tags = _word(file, ifd) == _word(file, self._ifd)
-        return same_tags and _word(file, ifd + self._pointer) == ifd + self._head
+        return not (same_tags and _word(file, ifd + self._pointer) == ifd + self._head)
 
     def close(self) -> None:
         """Close the file."""
