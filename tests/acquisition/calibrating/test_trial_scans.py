@@ -36,7 +36,7 @@ def test_frames_of_a_trial_are_those_of_the_scan_that_lasts(
     )
 
     def rows(ramp: int) -> np.ndarray:
-        monkeypatch.setattr(steady_scan, "_STEADY_AFTER", ramp)
+        monkeypatch.setattr(steady_scan, "STEADY_AFTER", ramp)
         lit = np.abs(np.arange(instrument.frame_shape[0]) - instrument.confocal_centre[0]) < instrument.diameter_px / 2
         return np.asarray(steady_scan.driven_line_rows(instrument, known, WIDE, GalvoModel())[lit])
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
-from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo
+from napari_elsplus.hardware.virtual.galvo import STEADY_AFTER, GalvoModel, imperfect_galvo
 from napari_elsplus.hardware.virtual.scene_frames import Circle, SceneFrames
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain
 from napari_elsplus.instrument.optics import PRESETS, Preset
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.hardware.virtual.camera.device import Shot
     from napari_elsplus.instrument.calibration import Calibration
-
-_STEADY_AFTER: Final = 10
-"""Frames after which the galvo's motion is periodic."""
 
 
 class Card(Protocol):
@@ -153,7 +150,7 @@ class OpticalBench:
         newest, settings = programs[-1], replace(shot, frame=0, strobe_s=0.0, skipped=0)
         if self._steady is None or self._steady[0] is not newest or self._steady[1] != settings:
             rows = self._rows_by(programs, shot)
-            settled_s = newest.begins_s + _STEADY_AFTER * shot.frame_period_s
+            settled_s = newest.begins_s + STEADY_AFTER * shot.frame_period_s
             if shot.strobe_s < settled_s or not newest.recurs(shot.frame_period_s):
                 return rows
             self._steady = newest, settings, rows
@@ -185,7 +182,7 @@ class OpticalBench:
         """Return the line's row during each row's exposure once the stream about to start is periodic."""
         train = StrobeTrain(shot.strobe_s, shot.frame_period_s)
         program = replace(self.card.programs()[-1], since_s=shot.strobe_s - shot.frame_period_s, strobe=train)
-        later = replace(shot, frame=_STEADY_AFTER, strobe_s=shot.strobe_s + _STEADY_AFTER * shot.frame_period_s)
+        later = replace(shot, frame=STEADY_AFTER, strobe_s=shot.strobe_s + STEADY_AFTER * shot.frame_period_s)
         return self._rows_by([program], later)
 
     def _instrument_of(self, shot: Shot) -> Instrument:

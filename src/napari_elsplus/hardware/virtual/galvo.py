@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 STEP_S: Final = 4e-6
 """Seconds; one sample of the card at 250 kHz."""
+STEADY_AFTER: Final = 10
+"""Frames after which the galvo's motion is periodic; chosen: 40 ms at 240 Hz, six times the slowest settling."""
 _SETTLED_TIME_CONSTANTS: Final = 13.2
 """Time constants after which the galvo's earlier position has no influence: its share is below 2e-6."""
 

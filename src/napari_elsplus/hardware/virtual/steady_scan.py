@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
-from napari_elsplus.hardware.virtual.galvo import GalvoModel, imperfect_galvo
+from napari_elsplus.hardware.virtual.galvo import STEADY_AFTER, GalvoModel, imperfect_galvo
 from napari_elsplus.hardware.virtual.timeline import Program, StrobeTrain
 from napari_elsplus.simulation.truth import true_calibration
 
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.simulation.model.instrument import Instrument
-
-_STEADY_AFTER: Final = 10
-"""Frames after which the galvo's motion is periodic; chosen: 40 ms at 240 Hz, six times the slowest settling."""
 
 
 def steady_line_rows(instrument: Instrument) -> NDArray[np.float64]:
@@ -72,7 +69,7 @@ def driven_line_rows(
     output = Program(
         0.0, float(drive.volts[0]), drive.volts, drive.samples_per_ramp, drive.sample_rate_hz, strobe=train
     )
-    strobe_s = _STEADY_AFTER * timing.frame_period_s
+    strobe_s = STEADY_AFTER * timing.frame_period_s
     rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
     middles_s = np.asarray(strobe_s + timing.row_zero_s + (rows - timing.slit_rows / 2) * timing.line_period_s)
     moved = imperfect_galvo(galvo, instrument.imperfections)
