@@ -109,7 +109,7 @@ def followed(raw: NDArray[np.unsignedinteger], calibration: Calibration) -> tupl
     for index, frame in enumerate(raw):
         pipeline.track(frame, index)
     pipeline.refine(RawPairs(raw, "els"))
-    return pipeline.poses, pipeline.camera_px_per_grid_px
+    return pipeline.poses, pipeline.tracking.scale
 
 
 def compared(poses: Sequence[Pose], scale: float, true_px: NDArray[np.float64], angle: NDArray[np.float64]) -> Rotated:

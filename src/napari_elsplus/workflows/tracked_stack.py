@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MAX_PERIOD_DIFFERENCE: Final = 0.03
 """Tolerated difference of frame periods, fraction. Chosen: the correction of motion within a frame has this relative
 error, 0.3 px where the probe moves 10."""
-MAX_FRAMES: Final = 600
+TIMING_FRAMES: Final = 600
 """Frames that are tracked for the estimate at most: 2.5 s at 240 Hz; chosen, its standard deviation is reported."""
 
 
@@ -267,7 +267,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     calibration : Calibration
         Returned unchanged if it has them.
     raw_pair : RawPairs
-        The recording; its first :data:`MAX_FRAMES` frames are tracked.
+        The recording; its first :data:`TIMING_FRAMES` frames are tracked.
     mode : Mode or str
         Image type to track.
 
@@ -284,7 +284,7 @@ def with_timing(calibration: Calibration, raw_pair: RawPairs, mode: Mode | str) 
     shape = raw_pair(0)[0].shape
     assumed = calibration.with_optics(line_periods_per_frame=float(shape[0]))
     tracking = RegistrationTracking(assumed, (shape[0], shape[1]), Mode(mode))
-    for index in range(min(len(raw_pair), MAX_FRAMES)):
+    for index in range(min(len(raw_pair), TIMING_FRAMES)):
         tracking.skip(raw_pair.lost_before(index))
         tracking.track(*raw_pair(index))
     found = tracking.line_periods_per_frame()

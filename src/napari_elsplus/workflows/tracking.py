@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
 
+    RawPair = Callable[[int], tuple[NDArray[Any], NDArray[Any]]]
+    """Returns the raw frames of the confocal and of the residual view, by the index in the order of adding."""
+
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""
 _RIM_PX: Final = 4
@@ -118,11 +121,6 @@ class Pipeline:
     @property
     def camera_px_per_pixel(self) -> float:
         """Camera pixels per pixel of the mosaics."""
-        return self.tracking.scale
-
-    @property
-    def camera_px_per_grid_px(self) -> float:
-        """Camera pixels per pixel of the tracking grid."""
         return self.tracking.scale
 
     @property
@@ -244,7 +242,7 @@ class Pipeline:
         del self.rows[:-1], self.poses[:-1]
         self.tracking.discard_registrations()
 
-    def refine(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
+    def refine(self, raw_pair: RawPair) -> None:
         """Close loops, join segments and solve the pose graph; mosaics are left as they are.
 
         Parameters
@@ -256,9 +254,7 @@ class Pipeline:
         self.poses = self.tracking.refine(self.poses, lambda index: self.tracking.image(*raw_pair(index)))
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
 
-    def finish(
-        self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]], progress: ProgressWrapper = iter
-    ) -> None:
+    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
         """Refine all positions, and insert all frames into fresh mosaics, freed of uneven light and of deformation.
 
         Parameters
@@ -270,9 +266,7 @@ class Pipeline:
         """
         self._draw(self.settle(raw_pair), progress)
 
-    def settle(
-        self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]
-    ) -> Callable[[int], NDArray[np.float32]]:
+    def settle(self, raw_pair: RawPair) -> Callable[[int], NDArray[np.float32]]:
         """Refine all positions (:meth:`refine`), and estimate the light of the laser line and the tissue's deformation.
 
         Parameters
@@ -313,7 +307,7 @@ class Pipeline:
     def complete(self) -> None:
         """Complete the mosaics after the last frame; nothing is left to do where frames are inserted as images."""
 
-    def _estimate_light(self, raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]]) -> None:
+    def _estimate_light(self, raw_pair: RawPair) -> None:
         """Estimate the light of the laser line.
 
         Where the line has left the bundle while the residual is read, its haze is left, which does not move. Not of

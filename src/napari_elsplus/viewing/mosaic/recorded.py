@@ -116,7 +116,7 @@ class StackMosaics(TrackedStack):
     def scale(self) -> MosaicScale:
         """Pixel sizes and limits."""
         grid, per_pixel = self.lead.grid, self.lead.camera_px_per_pixel
-        per_grid_px = self.lead.camera_px_per_grid_px
+        per_grid_px = self.lead.tracking.scale
         return MosaicScale(
             per_pixel,
             self.calibration.um_per_px,

@@ -21,8 +21,6 @@ from napari_elsplus.processing.tracking.registry import Method
 from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -31,6 +29,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.motion.pose import Pose
+    from napari_elsplus.workflows.tracking import RawPair
 
     Image = NDArray[np.float32]
 
@@ -85,11 +84,7 @@ class FinePipeline(Pipeline):
         """Return an empty mosaic with this pipeline's insertion, on the grid of its images, in a tile store."""
         return Mosaic(self._drawn, self._insertion, weights=self._drawn_weights, store=store)
 
-    def finish(
-        self,
-        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: ProgressWrapper = iter,
-    ) -> None:
+    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
         """Do what :meth:`Pipeline.finish` does with the images that are tracked, and insert the finer ones."""
         tracked = self._new_tracked()
         tracked.poses, tracked.rows = self.poses, self.rows

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.methods import TrackingMethod
+    from napari_elsplus.workflows.tracking import RawPair
 
 CELLS_PER_PITCH: Final = 4
 """Cells of the mosaic per core pitch; derived: two per period of the finest pattern that the cores' modes pass, half a
@@ -121,11 +122,7 @@ class CorePipeline(Pipeline):
         values = self._read(raw, raw if raw_residual is None else raw_residual)
         self._insert_cores(pose, self._freed(values))
 
-    def finish(
-        self,
-        raw_pair: Callable[[int], tuple[NDArray[Any], NDArray[Any]]],
-        progress: ProgressWrapper = iter,
-    ) -> None:
+    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
         """Refine all positions, insert all frames at them and reconstruct the mosaics: :meth:`Pipeline.finish`.
 
         Raises
