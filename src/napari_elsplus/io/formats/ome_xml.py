@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
@@ -125,13 +126,7 @@ def _annotations(root: ElementTree.Element) -> dict[str, Any]:
     for note in root.iterfind("{*}StructuredAnnotations/{*}CommentAnnotation"):
         name = {FORMAT: "calibration", SETTINGS: "settings"}.get(note.get("Namespace", ""))
         text = note.findtext("{*}Value")
-        if name is None or text is None:
-            continue
-        if name == "calibration":
-            metadata[name] = text
-            continue
-        try:
-            metadata[name] = json.loads(text)
-        except (ValueError, RecursionError):
-            continue
+        if name is not None and text is not None:
+            with suppress(ValueError, RecursionError):
+                metadata[name] = text if name == "calibration" else json.loads(text)
     return metadata

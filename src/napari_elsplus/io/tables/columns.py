@@ -79,10 +79,7 @@ def write_column(
     path: str | os.PathLike[str], header: str, values: Sequence[float] | NDArray[np.floating], force: bool = False
 ) -> None:
     """Write a CSV file of one column, as :func:`read_column` reads it, every digit kept."""
-    with replacing(path, force=force) as beside:
-        beside.write_text(
-            "".join(f"{line}\n" for line in (header, *(float(value) for value in values))), encoding="ascii"
-        )
+    write_table(path, {header: values}, force)
 
 
 def write_table(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
-from napari_elsplus.io.tables.tracks import HEADER, STATES, TrackPoint
+from napari_elsplus.io.tables.tracks import STATES, TrackPoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,7 +23,6 @@ LOST: Final = STATES.index("lost")
 _UNKNOWN: Final = ("row_px", "col_px", "row_um", "col_um", "score", "sigma_px")
 _INITIAL_CAPACITY: Final = 1 << 10
 """Points for which memory is reserved first, doubled when they are full; chosen: seconds of frames."""
-_VALUES: Final = attrgetter(*HEADER)
 
 
 class TrackTable(Sequence[TrackPoint]):
@@ -120,7 +118,7 @@ class TrackTable(Sequence[TrackPoint]):
 
 def packed(point: TrackPoint) -> tuple[Any, ...]:
     """Return a point of a track as the values of a row of the type `ROW`."""
-    *values, state = _VALUES(point)
+    *values, state = point
     return (*values, STATES.index(state))
 
 

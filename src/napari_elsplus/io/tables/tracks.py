@@ -55,7 +55,6 @@ class TrackPoint(NamedTuple):
 
 
 HEADER: Final = TrackPoint._fields
-_INTEGERS: Final = ("frame", "segment")
 
 
 def write_track(path: str | os.PathLike[str], rows: Iterable[TrackPoint], force: bool = False) -> None:
@@ -78,12 +77,10 @@ def write_track(path: str | os.PathLike[str], rows: Iterable[TrackPoint], force:
     with replacing(path, force=force) as beside, beside.open("w", newline="", encoding="ascii") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(HEADER)
-        for row in rows:
-            if row.state not in STATES:
-                raise InputError(
-                    f"frame {row.frame} has state {row.state!r}", f"one of {', '.join(STATES)} is expected"
-                )
-            table.writerow(_formatted(name, getattr(row, name)) for name in HEADER)
+        for frame, time_s, segment, *numbers, state in rows:
+            if state not in STATES:
+                raise InputError(f"frame {frame} has state {state!r}", f"one of {', '.join(STATES)} is expected")
+            table.writerow((int(frame), float(time_s), int(segment), *map(float, numbers), state))
 
 
 def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
@@ -111,12 +108,6 @@ def read_track(path: str | os.PathLike[str]) -> list[TrackPoint]:
             f"{path.name} has the header {lines[0][:60] if lines else ''!r}", f"{','.join(HEADER)} is expected"
         )
     return [_point(path, number, line) for number, line in enumerate(lines[1:], start=2)]
-
-
-def _formatted(name: str, value: object) -> object:
-    if name == "state":
-        return value
-    return int(value) if name in _INTEGERS else float(value)  # type: ignore[call-overload, arg-type]
 
 
 def _point(path: Path, number: int, line: str) -> TrackPoint:
