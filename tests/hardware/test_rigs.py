@@ -17,10 +17,10 @@ from napari_elsplus.hardware.rigs import open_rig, rig_names
 from napari_elsplus.hardware.scan.timing import ScanTiming, StrobePhase
 from napari_elsplus.hardware.scan.waveform import els_waveform
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.scene_frames import Circle
 from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres
+from napari_elsplus.simulation.specimen.trajectories import Circle
 
 SMALL = Region(262, 0, 524, 1328)
 

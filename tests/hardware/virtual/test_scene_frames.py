@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from napari_elsplus.hardware.virtual.remembered_frames import MAX_FILES
-from napari_elsplus.hardware.virtual.scene_frames import Circle, SceneFrames
+from napari_elsplus.hardware.virtual.scene_frames import SceneFrames
 from napari_elsplus.simulation.model.imperfections import Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import fibres, plate
-from napari_elsplus.simulation.specimen.trajectories import Still
+from napari_elsplus.simulation.specimen.trajectories import Circle, Still
 
 
 def test_frames_come_again_from_memory_while_the_line_moves_alike_and_only_then() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.scene_frames import Circle
 from napari_elsplus.instrument.optics import BUNDLE_UM
 from napari_elsplus.io.calibrations import read_calibration, write_calibration
 from napari_elsplus.io.user_folders import cache_folder, software_fingerprint
@@ -19,6 +19,7 @@ from napari_elsplus.processing.calibration.file_options import OWN_STEPS, added_
 from napari_elsplus.processing.calibration.step import REGISTERED, Target
 from napari_elsplus.processing.progress import without_display
 from napari_elsplus.simulation.specimen.scenes import distal_light, empty, fibres, uniform
+from napari_elsplus.simulation.specimen.trajectories import Circle
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -132,12 +133,13 @@ def calibrate_simulated(
     engine: Engine,
     *,
     voltages: int = QUICK_VOLTAGES,
-    bundle_um: float = BUNDLE_UM,
+    bundle_um: float | None = None,
     progress: Progress = without_display,
 ) -> Draft:
     """Calibrate the simulated rig without a user, and place the probe onto moving lens tissue.
 
-    Parameters and results are those of :func:`napari_elsplus.acquisition.calibrating.live.calibrate_rig`.
+    Parameters and results are those of :func:`napari_elsplus.acquisition.calibrating.live.calibrate_rig`; the bundle's
+    diameter, which is known here, is the simulated one by default.
 
     Raises
     ------
@@ -147,9 +149,8 @@ def calibrate_simulated(
     from napari_elsplus.acquisition.calibrating.live import calibrate_rig  # not where a calibration is remembered
 
     _require_bench(rig)
-    draft = calibrate_rig(
-        engine, lambda target: place_target(rig, target), voltages=voltages, bundle_um=bundle_um, progress=progress
-    )
+    known_um = BUNDLE_UM if bundle_um is None else bundle_um
+    draft = calibrate_rig(engine, partial(place_target, rig), voltages=voltages, bundle_um=known_um, progress=progress)
     place_target(rig, None)
     return draft
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -165,12 +166,10 @@ def _live(rig_name: str, settings: Settings, bundle_um: float | None) -> tuple[D
     keep_pace()
     with live_engine(rig_name, settings) as (rig, engine):
         engine.show(None)
-        more: dict[str, Any] = {"progress": calibration_progress, "voltages": SWEEP_VOLTAGES}
-        if bundle_um is not None:
-            more["bundle_um"] = bundle_um
-        draft = (
-            calibrate_rig(engine, confirm, **more) if rig.bench is None else calibrate_simulated(rig, engine, **more)
+        calibrate = (
+            partial(calibrate_rig, engine, confirm) if rig.bench is None else partial(calibrate_simulated, rig, engine)
         )
+        draft = calibrate(voltages=SWEEP_VOLTAGES, bundle_um=bundle_um, progress=calibration_progress)
         return draft, engine_setup(engine)
 
 

@@ -16,9 +16,9 @@ from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
 from napari_elsplus.diagnosis.rehearsal.messages import Exposures, answer_requests, report_to_rehearsal
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.hardware.virtual.scene_frames import Circle
 from napari_elsplus.io import RecordingWriter
 from napari_elsplus.simulation.specimen.scenes import fibres
+from napari_elsplus.simulation.specimen.trajectories import Circle
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,13 +10,13 @@ import numpy as np
 
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.hardware.virtual.galvo import STEADY_AFTER, GalvoModel, imperfect_galvo
-from napari_elsplus.hardware.virtual.scene_frames import Circle, SceneFrames
+from napari_elsplus.hardware.virtual.scene_frames import SceneFrames
 from napari_elsplus.hardware.virtual.timeline import BenchClock, Program, StrobeTrain
 from napari_elsplus.instrument.optics import PRESETS, Preset
 from napari_elsplus.simulation.model.imperfections import IDEAL, Imperfections
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import Scene, fibres
-from napari_elsplus.simulation.specimen.trajectories import Still, Trajectory
+from napari_elsplus.simulation.specimen.trajectories import Circle, Still, Trajectory
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:

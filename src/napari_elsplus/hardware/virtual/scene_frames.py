@@ -7,7 +7,6 @@ once, and each frame has pixels and noise of its own. What belongs to a moving p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from napari_elsplus.hardware.virtual.remembered_frames import frames_key, recall_frames, remember_frames
 from napari_elsplus.simulation.rendering.renderer import Renderer
-from napari_elsplus.simulation.specimen.trajectories import Still
+from napari_elsplus.simulation.specimen.trajectories import Circle, Still
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,31 +32,6 @@ STILL_FRAMES: Final = 64
 """Frames kept of a scene at rest; chosen: their noise does not recur visibly."""
 EDGE_ROWS: Final = 0.5
 """Rows beyond the bundle's radius in which the line still matters; chosen: half a pixel."""
-
-
-@dataclass(frozen=True, slots=True)
-class Circle:
-    """The probe moves along a circle, without end.
-
-    Parameters
-    ----------
-    diameter_um : float
-        Diameter.
-    period_s : float
-        Seconds for one round.
-    """
-
-    diameter_um: float = 500.0
-    period_s: float = 1.0
-
-    def positions_um(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Row and column at each time; the circle begins at 0, 0."""
-        angle = 2 * np.pi * times_s / self.period_s
-        return np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1) * (self.diameter_um / 2)
-
-    def closed(self, rate_hz: float) -> Circle:
-        """Return the circle whose round takes the nearest whole number of frames at a rate, so that they recur."""
-        return replace(self, period_s=max(1, round(self.period_s * rate_hz)) / rate_hz)
 
 
 class SceneFrames:

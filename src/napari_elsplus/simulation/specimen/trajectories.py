@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
@@ -128,6 +128,31 @@ class Spiral:
             angle -= (0.5 * (angle * root + np.arcsinh(angle)) - path) / root
         radius = per_radian * angle
         return np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """The probe moves along a circle, without end.
+
+    Parameters
+    ----------
+    diameter_um : float
+        Diameter.
+    period_s : float
+        Seconds for one round.
+    """
+
+    diameter_um: float = 500.0
+    period_s: float = 1.0
+
+    def positions_um(self, times_s: Times) -> Positions:
+        """See :meth:`Trajectory.positions_um`; the circle begins at 0, 0."""
+        angle = 2 * np.pi * times_s / self.period_s
+        return np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1) * (self.diameter_um / 2)
+
+    def closed(self, rate_hz: float) -> Circle:
+        """Return the circle whose round takes the nearest whole number of frames at a rate, so that they recur."""
+        return replace(self, period_s=max(1, round(self.period_s * rate_hz)) / rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
