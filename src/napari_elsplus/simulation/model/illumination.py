@@ -153,8 +153,8 @@ class Vignetting:
         first = np.empty(len(rows), np.int64)
         _enter(first, weights, line_um, entries_um[0], len(entries_um), self._core_um, BELL)
         _leave(
-            halo.light, halo.known, rows, first, weights, entries_um, self.grid_um, halo.collect, self._disc,
-            self._height, self._inner_um, self.radius_um, self._step_um, BELL,
+            halo, rows, first, weights, entries_um, self.grid_um, self._disc, self._height,
+            self._inner_um, self.radius_um, self._step_um, BELL,
         )  # fmt: skip
         halo.known[rows[:, None], first[:, None] + np.arange(_LIT_ENTRIES)] |= weights > 0
         _sum_entries(clipped, halo.light, rows, first, weights)
@@ -230,14 +230,12 @@ def _enter(
 
 @kernel
 def _leave(
-    light: NDArray[np.float32],
-    known: NDArray[np.bool_],
+    halo: _Halo,
     rows: NDArray[np.intp],
     first: NDArray[np.int64],
     weights: NDArray[np.float32],
     entries_um: Grid,
     grid_um: Grid,
-    collect: NDArray[np.float32],
     disc: NDArray[np.float32],
     height: float,
     inner_um: float,
@@ -249,13 +247,13 @@ def _leave(
 
     It leaves on all rows of the grid where there are cores, spread over the columns of the chord on which it entered.
     """
-    points = len(grid_um)
+    points, collect = len(grid_um), halo.collect
     leaving = np.empty(points, np.float32)
     for n in range(len(rows)):
         i = rows[n]
         for q in range(_LIT_ENTRIES):
             k = first[n] + q
-            if known[i, k] or weights[n, q] == 0:
+            if halo.known[i, k] or weights[n, q] == 0:
                 continue
             half_um = np.sqrt(max(radius_um**2 - entries_um[k] ** 2, 0.0))
             leaving[:] = 0
@@ -264,7 +262,7 @@ def _leave(
                 if value > _NEGLIGIBLE:
                     for c in range(points):
                         leaving[c] += value * disc[g, c]
-            collected = light[i, k]
+            collected = halo.light[i, k]
             collected[:] = 0
             for c in range(points):
                 share = min(max((half_um - abs(grid_um[c])) / step_um + 0.5, 0.0), 1.0)
