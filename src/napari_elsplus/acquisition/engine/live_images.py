@@ -122,6 +122,11 @@ class LiveImages:
     view : LiveView or None
         Options of the images; None where nobody looks at them, which makes raw frames only.
 
+    Attributes
+    ----------
+    averages : bool
+        True if every frame contributes to the displayed images.
+
     Raises
     ------
     CalibrationError
@@ -137,7 +142,7 @@ class LiveImages:
     def __init__(self, frame_shape: tuple[int, int], calibration: Calibration | None, view: LiveView | None) -> None:
         view = LiveView(modes=frozenset()) if view is None else view
         self._sectioner: Sectioner | None = None
-        self._averages = view.average > 1
+        self.averages = view.average > 1
         self._modes: frozenset[Mode] = frozenset()
         self.layout = display_layout(frame_shape, None)
         if calibration is None or calibration.bundle is None:
@@ -168,11 +173,6 @@ class LiveImages:
             self._warm_up(sectioner, frame_shape)
 
     @property
-    def averages(self) -> bool:
-        """True if every frame contributes to the displayed images."""
-        return self._averages
-
-    @property
     def pairs(self) -> bool:
         """True if an image is made of two successive frames: ELSA is."""
         return Mode.ELSA in self._modes
@@ -180,7 +180,7 @@ class LiveImages:
     @property
     def of_one_frame(self) -> bool:
         """True if every image is made of the frame alone that is displayed: :meth:`fill` needs no :meth:`add`."""
-        return not (self._averages or self.pairs)
+        return not (self.averages or self.pairs)
 
     def add(self, raw: NDArray[np.uint8], frame_number: int) -> None:
         """Section a raw frame of a frame number, for images of this and later frames."""

@@ -55,6 +55,13 @@ class EngineClient(ClosedOnExit, Commands):
     command : sequence of str
         Starts the process.
 
+    Attributes
+    ----------
+    calibration : Calibration or None
+        The active one, as of the newest reply.
+    died : DeviceError or None
+        Why there is no engine any more; None while its process lives.
+
     Raises
     ------
     DeviceError
@@ -68,8 +75,8 @@ class EngineClient(ClosedOnExit, Commands):
         self._waiting: dict[int, Future[Any]] = {}
         self._lock = Lock()
         self._status = Status()
-        self._calibration: Calibration | None = None
-        self._died: DeviceError | None = None
+        self.calibration: Calibration | None = None
+        self.died: DeviceError | None = None
         self._closing = False
         self._ring: SharedRing | None = None
         self._attended: Callable[[], bool] = lambda: True
@@ -84,8 +91,8 @@ class EngineClient(ClosedOnExit, Commands):
         """Return the future result of a command, by its name."""
         future: Future[Any] = Future()
         with self._lock:
-            if self._died is not None:
-                future.set_exception(self._died)
+            if self.died is not None:
+                future.set_exception(self.died)
                 return future
             number = next(self._numbers)
             self._waiting[number] = future
@@ -99,19 +106,9 @@ class EngineClient(ClosedOnExit, Commands):
         return self._process.pid
 
     @property
-    def calibration(self) -> Calibration | None:
-        """The active calibration, as of the newest reply."""
-        return self._calibration
-
-    @property
-    def died(self) -> DeviceError | None:
-        """Why there is no engine any more; None while its process lives."""
-        return self._died
-
-    @property
     def status(self) -> Status:
         """The newest status of the engine; with a fault, and nothing known of the galvo, where it does not answer."""
-        if self._unheard * HEARTBEAT_S < SILENT_S or self._died is not None:
+        if self._unheard * HEARTBEAT_S < SILENT_S or self.died is not None:
             return self._status
         silent = Fault("engine", f"the engine has not answered for {SILENT_S:g} s", SILENT_REMEDY, time.time())
         return replace(self._status, park_state=ParkState(), faults=(*self._status.faults, silent))
@@ -119,7 +116,7 @@ class EngineClient(ClosedOnExit, Commands):
     def display(self) -> SharedRing | None:
         """Return the ring of the newest images; to be used by one thread, until the next call."""
         where = self._status.display
-        if where is None or self._closing or self._died is not None:
+        if where is None or self._closing or self.died is not None:
             return None
         name, layout = where
         if self._ring is None or self._ring.name != name:
@@ -190,7 +187,7 @@ class EngineClient(ClosedOnExit, Commands):
                 case Status():
                     self._status = message
                 case Activated(calibration):
-                    self._calibration = calibration
+                    self.calibration = calibration
                 case Reply():
                     self._answer(message)
         self._end()
@@ -222,7 +219,7 @@ class EngineClient(ClosedOnExit, Commands):
                 "its guardian parks the galvo, and what was recorded is kept: connect again, which confirms that",
             )
         with self._lock:
-            self._died = error
+            self.died = error
             waiting, self._waiting = self._waiting, {}
         for future in waiting.values():
             future.set_exception(error)

@@ -32,7 +32,6 @@ from napari_elsplus.processing.compilation import reported_compilation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import FrameType
 
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.link.messages import Channel
@@ -171,11 +170,7 @@ def run(open_rig: Callable[[str], Rig]) -> None:
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints from now on must not fill the pipe
         connection = listener.accept()
     accepted.set()
-
-    def end_connection(_signal: int, _frame: FrameType | None) -> None:
-        connection.close()
-
-    signal.signal(signal.SIGTERM, end_connection)
+    signal.signal(signal.SIGTERM, lambda *_: connection.close())
     with connection:
         Server(connection, open_rig).serve()
 

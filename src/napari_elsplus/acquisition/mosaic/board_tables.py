@@ -29,13 +29,9 @@ TILES_TOGETHER: Final = 8
 """Tiles in one segment; chosen: a segment is added a few times a second at most."""
 FREE: Final = -1
 """Segment of a tile that is not in use."""
-HEAD: Final = np.dtype(
-    [("generation", "<i8"), ("tiles", "<i8"), ("rows", "<i8"), ("changes", "<i8"), ("relocations", "<i8")]
-)  # fmt: skip
-TILE: Final = np.dtype([("image", "<i4"), ("segment", "<i4"), ("row", "<i4"), ("col", "<i4")])
-CHANGE: Final = np.dtype(
-    [("image", "<i4"), ("segment", "<i4"), ("top", "<i4"), ("left", "<i4"), ("bottom", "<i4"), ("right", "<i4")]
-)  # fmt: skip
+HEAD: Final = np.dtype([(name, "<i8") for name in ("generation", "tiles", "rows", "changes", "relocations")])
+TILE: Final = np.dtype([(name, "<i4") for name in ("image", "segment", "row", "col")])
+CHANGE: Final = np.dtype([(name, "<i4") for name in ("image", "segment", "top", "left", "bottom", "right")])
 _TILE_SHAPE: Final = (TILES_TOGETHER, 2, TILE_PX, TILE_PX)
 _TILES_BYTES: Final = TILES_TOGETHER * 2 * TILE_PX * TILE_PX * 4
 """Shape and bytes of a block of tiles, each with float32 values and weights; derived."""
@@ -68,9 +64,7 @@ class Tables:
         self._parts: dict[str, SharedMemory] = {}
         self.head: Any = np.ndarray((1,), HEAD, board.buf)
         self.tiles: Any = np.ndarray((MAX_TILES,), TILE, board.buf, HEAD.itemsize)
-        self.changes: Any = np.ndarray(
-            (CHANGES,), CHANGE, board.buf, HEAD.itemsize + MAX_TILES * TILE.itemsize
-        )  # fmt: skip
+        self.changes: Any = np.ndarray((CHANGES,), CHANGE, board.buf, HEAD.itemsize + self.tiles.nbytes)
         self._pixels: list[NDArray[np.float32]] = []
         self._blocks: list[Block] = []
 

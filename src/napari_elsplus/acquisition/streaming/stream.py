@@ -113,16 +113,12 @@ class FrameStream:
         self._stamps: list[Stamp | None] = [None] * frames
         self._lock = Lock()
         self._cursors: list[Cursor] = []
-        self._ended = False
+        self.ended = False
+        """True if no more frames will come."""
         self.written = 0
         """Frames that went into the stream."""
         self.frame_shape = frame_shape
         self.depth = frames
-
-    @property
-    def ended(self) -> bool:
-        """True if no more frames will come."""
-        return self._ended
 
     def acquire(self) -> Slot:
         """Return the oldest slot that no consumer holds, for the camera to fill."""
@@ -150,7 +146,7 @@ class FrameStream:
     def end(self) -> None:
         """End the stream; cursors still read what is there."""
         with self._lock:
-            self._ended = True
+            self.ended = True
             self._wake()
 
     def join(self, *, earlier: int = 0, limit: int | None = None, batch: int = 1) -> Cursor:
@@ -181,7 +177,7 @@ class FrameStream:
         """Return the next frame of a cursor: :meth:`Cursor.take`."""
         with self._lock:
             cursor.held = None
-            waits = cursor.next >= self.written and not self._ended
+            waits = cursor.next >= self.written and not self.ended
             cursor.awaited = cursor.next + cursor.batch if waits else None
         if waits:
             cursor.woken.acquire(timeout=timeout_s)
@@ -205,7 +201,7 @@ class FrameStream:
     def _wake(self) -> None:
         """Wake the consumers whose batch is complete; at the end, all."""
         for cursor in self._cursors:
-            if cursor.awaited is not None and (self._ended or cursor.awaited <= self.written):
+            if cursor.awaited is not None and (self.ended or cursor.awaited <= self.written):
                 cursor.awaited = None
                 cursor.woken.release()
 
