@@ -71,7 +71,12 @@ def resolved_once(function: Function) -> Function:
 
 
 def compilable(function: Function) -> Function:
-    """Return a function of numbers as it is, and let kernels call it, compiled as :func:`lean_kernel` does."""
+    """Return a function as it is, and let kernels call it, compiled as :func:`lean_kernel` does.
+
+    For functions of numbers, and for those that kernels alone call: they are not made callable from Python nor stored
+    by themselves, which takes a tenth off the compilation of a registration. Kernels by :func:`kernel` or
+    :func:`lean_kernel` and other compilable functions each compile it for themselves.
+    """
     return register_jitable(_nrt=False, **_OPTIONS)(function)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import compilable, lean_kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -175,7 +175,7 @@ def finely_sampled(
     return (samples, samples, samples, samples), (np.float32(1), nothing, nothing, nothing)
 
 
-@lean_kernel
+@compilable
 def _quintic(part: float) -> tuple[np.float32, ...]:
     """Weights of Lagrange's polynomial through six pixels, for a sample that lies `part` beyond the third."""
     a, b, c, d, e, f = part + 2, part + 1, part, part - 1, part - 2, part - 3

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end import sampling
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 
@@ -139,7 +139,7 @@ def accumulate(
     return count, *variances, sums[2] - sum_t * sums[0] / count, sums[4] / sums[3]
 
 
-@lean_kernel
+@compilable
 def add_row(
     template: NDArray[np.float32], row: int, columns: tuple[int, int], corners: tuple[NDArray[np.float32], ...],
     weights: tuple[np.float32, ...], tone: Array, powers: tuple[float, ...], column: float | None, normal: Array,
@@ -246,7 +246,7 @@ def add_row(
         sums[n] += total
 
 
-@lean_kernel
+@compilable
 def align(
     pair: FramePair, how: Iteration, expected: Warp, stiffness: Array, correlated_px: float, warp: Warp,
     information: Array, work: Workspace,

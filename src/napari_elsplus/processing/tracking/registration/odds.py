@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, row_shift
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
@@ -54,7 +54,7 @@ def blocks(side: int) -> Array:
     return np.zeros((6, across * across))
 
 
-@lean_kernel
+@compilable
 def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
@@ -181,7 +181,7 @@ def log_odds_between(pair: FramePair, warp: Warp, other: Warp, expected: Warp, t
     return nats + prior_terms(other, expected, terms)[1] - prior_terms(warp, expected, terms)[1]
 
 
-@lean_kernel
+@compilable
 def log_odds(
     pair: FramePair, warp: Warp, information: Array, expected: Warp, terms: Terms, sums: Array, work: Workspace
 ) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def high_pass(frame: Levels, pyramid: Pyramid) -> None:
     frame.filled[1] = True
 
 
-@lean_kernel
+@compilable
 def halve(fine: Image, coarse: Image) -> None:
     """Fill an image with the means of two by two pixels of one of twice its resolution.
 
@@ -184,7 +184,7 @@ def smooth_within(image: Image, pyramid: Pyramid) -> None:
         smooth[k] *= inverse[k]
 
 
-@lean_kernel
+@compilable
 def _blur(pixels: Image, apart: int, out: Image) -> None:
     """Fill a run of pixels with the weighted sums of eleven that lie so far `apart`, the first at the run's beginning.
 
@@ -206,7 +206,7 @@ def _blur(pixels: Image, apart: int, out: Image) -> None:
         out[k] = near + far + _TAPS[5] * (p0[k] + p10[k])
 
 
-@lean_kernel
+@compilable
 def double(coarse: Image, lines: Image, out: Image) -> None:
     """Interpolate an image to twice its resolution.
 
@@ -235,7 +235,7 @@ def double(coarse: Image, lines: Image, out: Image) -> None:
             into[col] = near * here[col] + far * beside[col]
 
 
-@lean_kernel
+@compilable
 def subtract_within(image: Image, smooth: Image, lit: NDArray[np.bool_], out: Image) -> None:
     """Subtract what is smooth from an image where it is lit; zero elsewhere.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
+from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, INNER_FIELD, overlap_of_discs
 from napari_elsplus.processing.tracking.front_end.sampling import FramePair
 from napari_elsplus.processing.tracking.motion.motion_prior import expected_warp, terms_of, velocity_given
@@ -83,7 +83,7 @@ class Tools(NamedTuple):
         return cls(lit, middles, FIELD * grid.diameter, pyramid.Pyramid.of(grid, field), *scratch)
 
 
-@lean_kernel
+@compilable
 def pair_of(which: int, earlier: Levels, later: Levels, tools: Tools) -> FramePair:
     """Return one image of each of two frames, to be compared.
 
@@ -161,7 +161,7 @@ def register(
     return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance, at_half
 
 
-@lean_kernel
+@compilable
 def _odds_against_unrelated(correlation: float, count: float) -> float:
     """Return the log odds of frames of that correlation in `count` pixels against unrelated ones, nats; at most 700."""
     return float(min(-0.5 * count / odds.CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0))
@@ -198,7 +198,7 @@ def later_velocity(prior: MotionPrior, warp: Warp, information: Array, work: Wor
     return velocity.row, velocity.col, variance + largest
 
 
-@lean_kernel
+@compilable
 def descend(
     earlier: Levels, later: Levels, stages: tuple[int, int], sharp: bool, expected: Warp, terms: Terms,
     warp: Warp, information: Array, tools: Tools,
