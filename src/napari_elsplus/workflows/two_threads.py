@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from concurrent.futures import ThreadPoolExecutor
-from itertools import cycle, islice, starmap
+from itertools import chain, cycle, repeat, starmap
+from queue import SimpleQueue
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -53,13 +53,31 @@ class ComputedAhead:
         if self._threads == 1:
             yield from starmap(self._make, self._frames)
             return
-        frames = iter(self._frames)
-        with ThreadPoolExecutor(1, thread_name_prefix="images") as thread:
-            coming = deque(thread.submit(self._make, *each) for each in islice(frames, IMAGES_AHEAD))
-            while coming:
-                image = coming.popleft().result()
-                coming.extend(thread.submit(self._make, *each) for each in islice(frames, 1))
-                yield image
+        asked: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+        made: SimpleQueue[NDArray[np.float32] | Exception] = SimpleQueue()
+        thread = Thread(target=self._compute, args=(asked, made), name="images")
+        thread.start()
+        try:
+            for number, each in enumerate(chain(self._frames, repeat(None, IMAGES_AHEAD)), -IMAGES_AHEAD):
+                asked.put(each)
+                if number >= 0:
+                    image = made.get()
+                    if isinstance(image, Exception):
+                        raise image
+                    yield image
+        finally:
+            asked.put(None)
+            thread.join()
+
+    def _compute(
+        self, asked: SimpleQueue[tuple[Any, ...] | None], made: SimpleQueue[NDArray[np.float32] | Exception]
+    ) -> None:
+        """Make images, or what goes wrong with one, until there are no frames left."""
+        for each in iter(asked.get, None):
+            try:
+                made.put(self._make(*each))
+            except Exception as error:  # noqa: BLE001 - raised in its place by the caller
+                made.put(error)
 
 
 def tracking_images(

@@ -186,7 +186,7 @@ def test_a_stage_computes_on_one_thread(recordings: Path, tmp_path: Path, monkey
 
 
 def test_a_stage_starts_no_thread(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("napari_elsplus.workflows.two_threads.ThreadPoolExecutor", None)
+    monkeypatch.setattr("napari_elsplus.workflows.two_threads.Thread", None)
     job = BatchJob(str(tmp_path / "out"), "els", mosaic=True, calibration=None)
     open_output(job)
     for stage in job.stages:
