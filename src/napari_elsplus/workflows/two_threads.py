@@ -54,7 +54,7 @@ class ComputedAhead:
             yield from starmap(self._make, self._frames)
             return
         asked: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
-        made: SimpleQueue[NDArray[np.float32] | Exception] = SimpleQueue()
+        made: SimpleQueue[NDArray[np.float32] | BaseException] = SimpleQueue()
         thread = Thread(target=self._compute, args=(asked, made), name="images")
         thread.start()
         try:
@@ -62,7 +62,7 @@ class ComputedAhead:
                 asked.put(each)
                 if number >= 0:
                     image = made.get()
-                    if isinstance(image, Exception):
+                    if isinstance(image, BaseException):
                         raise image
                     yield image
         finally:
@@ -70,13 +70,13 @@ class ComputedAhead:
             thread.join()
 
     def _compute(
-        self, asked: SimpleQueue[tuple[Any, ...] | None], made: SimpleQueue[NDArray[np.float32] | Exception]
+        self, asked: SimpleQueue[tuple[Any, ...] | None], made: SimpleQueue[NDArray[np.float32] | BaseException]
     ) -> None:
         """Make images, or what goes wrong with one, until there are no frames left."""
         for each in iter(asked.get, None):
             try:
                 made.put(self._make(*each))
-            except Exception as error:  # noqa: BLE001 - raised in its place by the caller
+            except BaseException as error:  # noqa: BLE001 - raised in its place by the caller
                 made.put(error)
 
 
