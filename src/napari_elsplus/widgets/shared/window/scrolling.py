@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from itertools import chain
+from typing import TYPE_CHECKING, Final
 
-from qtpy.QtCore import QEvent, QObject, QSize
-from qtpy.QtWidgets import QFrame, QScrollArea, QWidget
+from qtpy.QtCore import QEvent, QObject, QSize, Qt
+from qtpy.QtWidgets import QAbstractSpinBox, QApplication, QComboBox, QFrame, QScrollArea, QWidget
+
+if TYPE_CHECKING:
+    from qtpy.QtGui import QShowEvent
 
 MIN_HEIGHT_PX: Final = 280
 """Smallest height of a panel, pixels; chosen: with title, tabs and status line the dock needs about 400."""
@@ -13,9 +17,14 @@ MAX_MIN_WIDTH_PX: Final = 525
 """Largest width that the dock demands, pixels; measured: with a font of 13 points napari's own docks and the smallest
 canvas leave 532 of 1280. Where tabs or panels need more, in larger fonts, they scroll."""
 
+FIELDS: Final = QAbstractSpinBox, QComboBox
+"""Kinds of fields that the wheel would change."""
+
 
 class PanelScrollArea(QScrollArea):
     """Scrolls a panel's content, sideways only where the font makes it too wide for the window of a laptop.
+
+    The wheel scrolls over fields, too: it would change the settings of a rig that are scrolled past.
 
     Parameters
     ----------
@@ -35,8 +44,18 @@ class PanelScrollArea(QScrollArea):
         width_px = (content.minimumSizeHint().width() if content else 0) + (bar.sizeHint().width() if bar else 0)
         return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX)
 
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Watch the fields for the wheel; see :meth:`QWidget.showEvent`."""
+        for field in chain.from_iterable(map(self.findChildren, FIELDS)):
+            field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            field.installEventFilter(self)
+        super().showEvent(event)
+
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Follow changes of the content's smallest width; see :meth:`QObject.eventFilter`."""
+        """Scroll by the wheel over a field; follow the content's smallest width; see :meth:`QObject.eventFilter`."""
+        if event is not None and event.type() == QEvent.Type.Wheel and isinstance(watched, FIELDS):
+            QApplication.sendEvent(self.viewport(), event)
+            return True
         if event is not None and event.type() == QEvent.Type.LayoutRequest:
             self.updateGeometry()
         return bool(super().eventFilter(watched, event))
