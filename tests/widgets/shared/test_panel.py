@@ -9,6 +9,7 @@ import pytest
 from qtpy.QtWidgets import QLabel, QProgressBar, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Status
+from napari_elsplus.errors import InputError
 from napari_elsplus.processing.compilation import report_compilation
 from napari_elsplus.widgets.dock.status_line import rig_line
 from napari_elsplus.widgets.shared.work import Work
@@ -74,3 +75,18 @@ def test_the_bar_displays_the_time_that_is_left(qtbot):
 def test_the_status_line_names_the_kernel_that_the_engine_compiles():
     assert "compiling align" in rig_line("simulated", Status(compiling="align"))
     assert "compiling" not in rig_line("simulated", Status())
+
+
+def test_a_computation_is_refused_while_another_runs_whose_result_is_delivered_to_its_own_function(qtbot):
+    """Before: the first result went to the second function, and the second result raised an AttributeError."""
+    ended, first, second = Event(), [], []
+    work = Work(lambda: None)
+    qtbot.addWidget(work)
+    work.begin(0, lambda: ended.wait(100), first.append)
+    try:
+        with pytest.raises(InputError, match="press Cancel"):
+            work.begin(0, lambda: False, second.append)
+    finally:
+        ended.set()
+    qtbot.waitUntil(lambda: not work.busy, timeout=60_000)
+    assert (first, second) == ([True], [])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from napari.qt.threading import create_worker
 from qtpy.QtWidgets import QGridLayout, QProgressBar, QPushButton, QWidget
 
-from napari_elsplus.errors import ElsPlusError, error_message
+from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.widgets.shared.panel import panel_of, text_label, timer
 from napari_elsplus.widgets.shared.problems import problems
@@ -77,7 +77,14 @@ class Work(QWidget):
             Runs in the thread.
         finished : callable
             Called with the result in the window's thread; not called after a failure or Cancel.
+
+        Raises
+        ------
+        InputError
+            If a computation runs already.
         """
+        if self.busy:
+            raise InputError("a computation is running", "wait until it has ended, or press Cancel")
         self._cancelled.clear()
         self._done, self._total, self._counts, self._since = 0, total, total == 0, perf_counter()
         self._name = ""
