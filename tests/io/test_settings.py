@@ -17,6 +17,16 @@ def test_sections_keep_to_themselves():
     assert settings.recall("nothing") == {}
 
 
+def test_what_does_not_change_is_not_written(monkeypatch):
+    """A disk that is busy with a recording lets the window wait for each write."""
+    settings.remember("view", name="dark", gone=None)
+    written = settings.settings_file().stat().st_mtime_ns
+    monkeypatch.setattr(settings, "replacing", None)
+    settings.remember("view", name="dark", gone=None)
+    assert settings.recall("view") == {"name": "dark"}
+    assert settings.settings_file().stat().st_mtime_ns == written
+
+
 def test_the_active_calibration_is_forgotten_when_its_file_goes(tmp_path):
     assert settings.active_calibration() is None
     path = tmp_path / "c.json"

@@ -53,8 +53,11 @@ def remember(section: str, **values: Any) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         content = _read_or_set_aside()
-        kept = {**_section(content, section), **values}
-        content[section] = {name: value for name, value in kept.items() if value is not None}
+        before = _section(content, section)
+        after = {name: value for name, value in {**before, **values}.items() if value is not None}
+        if after == before:  # writing waits for a disk that may be busy with a recording
+            return
+        content[section] = after
         with replacing(path, force=True) as beside:
             beside.write_text(tomli_w.dumps(content), encoding="utf-8")
     except OSError as error:

@@ -60,6 +60,23 @@ def stream(viewer):
     return layers, show
 
 
+def test_what_does_not_change_is_not_set_again(stream, viewer):
+    """Setting an equal value costs the window some milliseconds, for each layer and each change of a control."""
+    layers, show = stream
+    show(100)
+    layout = display_layout((64, 128), 32)
+    ring, changes = Ring(bytearray(layout.nbytes), layout), []
+    for layer in viewer.layers:
+        for name in ("scale", "translate", "units", "visible", "data", "features"):
+            if hasattr(layer.events, name):
+                getattr(layer.events, name).connect(lambda event: changes.append((event.source.name, event.type)))
+    assert layers.arrange(["ls", "raw"], ring, None, side_by_side=True)
+    assert changes == []
+    assert layers.arrange(["ls"], ring, None, side_by_side=True)
+    assert ("live raw", "visible") in changes
+    assert "live LS" not in {name for name, _ in changes}
+
+
 def test_contrast_of_once_is_that_of_the_first_frame_with_light(stream):
     """Before: a stream that began in the dark, laser off or galvo parked, was white ever after."""
     layers, show = stream

@@ -159,7 +159,7 @@ class LiveLayers:
         shown = {kind: shapes[kind] for kind in KINDS if kind in kinds and kind in shapes}
         corners = _corners_px({kind: shape for kind, (shape, _) in shown.items()}, side_by_side=side_by_side)
         for kind, image in self.images.items():
-            image.visible = kind in shown
+            _change(image, "visible", kind in shown)
         for kind, (shape, dtype) in shown.items():
             layer = self.images.get(kind)
             if layer is not None and layer.data.shape != shape:
@@ -177,7 +177,7 @@ class LiveLayers:
                 complete = False
             elif layer is not None:
                 for name, value in place.items():
-                    setattr(layer, name, value)
+                    _change(layer, name, value)
                 layer.metadata[PROVENANCE] = facts
         self._last_sequence = -1
         if complete or self._titles in self._viewer.layers:
@@ -255,9 +255,11 @@ class LiveLayers:
         """Write each image's kind above it, at its corner (row, col) in pixels of a scale and units."""
         data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), place)
         if self._titles is not None and self._titles in self._viewer.layers:
-            self._titles.data, self._titles.features = data, attributes["features"]
-            self._titles.visible = True
-            self._titles.scale, self._titles.units = place["scale"], place["units"]
+            written = self._titles.data.tolist(), self._titles.features["title"].tolist()
+            if written != (data.tolist(), list(corners)):
+                self._titles.data, self._titles.features = data, attributes["features"]
+            for name, value in (("visible", True), ("scale", place["scale"]), ("units", place["units"])):
+                _change(self._titles, name, value)
         elif corners:
             self._titles = Points(data, **attributes)
             self._titles.editable = False
@@ -273,6 +275,14 @@ class LiveLayers:
         self._layers[kind] = layer
         self._unscaled.add(kind)
         self._viewer.layers.append(layer)
+
+
+def _change(layer: Layer, name: str, value: Any) -> None:
+    """Set an attribute of a layer unless it has that value: napari draws and lists the layer anew each time."""
+    wanted = tuple(map(pint.Unit, value)) if name == "units" else value
+    present = getattr(layer, name)
+    if (tuple(present) if isinstance(value, tuple) else present) != wanted:
+        setattr(layer, name, value)
 
 
 def _corners_px(shapes: Mapping[str, tuple[int, ...]], *, side_by_side: bool) -> dict[str, tuple[int, int]]:
