@@ -20,6 +20,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
 
+import pairs
 from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
@@ -314,6 +315,33 @@ def test_numbers_are_applied_whole_once_they_are_typed(viewer, qtbot, small_engi
     ]  # fmt: skip
     assert "a slit of 120 rows: choose a smaller one" in problems.newest
     assert rig.settings == Settings("240hz", 12, 500.0, 30.0)
+
+
+def test_the_settings_that_the_rig_accepts_are_remembered_and_not_those_that_follow(viewer, qtbot, small_engine):
+    """Before: the form's were, which may be refused, and were those of the next start."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    rig.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
+    rig.refresh()
+    rig.gain_db.value = 2.0
+    rig.slit_rows.value = 9999
+    qtbot.waitUntil(lambda: not rig.requests.busy, timeout=30_000)
+    assert (recall("rig")["gain_db"], recall("rig")["slit_rows"]) == (2.0, 3)
+    assert rig.slit_rows.value == 3
+
+
+def test_the_offset_is_in_micrometres_of_the_calibration_and_not_of_the_chosen_preset(viewer, small_engine):
+    """Before: those of another objective, where the calibration was not of the preset in the form."""
+    _, rig = viewer.window.add_plugin_dock_widget(PLUGIN, "Rig")
+    calibration = pairs.calibration()
+    rig.connection.apply(calibration)
+    rows, um_per_px = calibration.offset.rows, calibration.um_per_px
+    for name in ("240hz", "120hz"):
+        rig.preset.value = name
+        rig.refresh()
+        assert f"offset {rows:.1f} rows, {rows * um_per_px:.1f} µm" in rig.optics.text()
+    rig.connection.apply(calibration.model_copy(update={"optics": None}))
+    rig.refresh()
+    assert rig.optics.text().endswith(f"offset {rows:.1f} rows")
 
 
 def test_the_rig_panel_displays_the_settings_by_which_another_panel_connected(viewer, qtbot, small_engine):

@@ -79,7 +79,7 @@ class RigPanel(EnginePanel):
             self.requests.run(self.connection.disconnect)
             return
         rig, settings = self.rig.value, self.settings
-        self._remember()
+        remember_rig(rig, settings)
         self.requests.run(lambda: self.connection.connect(rig, settings), self.activate_calibration)
 
     def apply(self) -> None:
@@ -87,11 +87,12 @@ class RigPanel(EnginePanel):
 
         Settings that the rig refuses leave the form, which displays those that hold.
         """
+        rig, settings = self.rig.value, self.settings
         if self.connection.client is None:
-            self._remember()
+            remember_rig(rig, settings)
         else:
-            configured = self.connection.configure(self.settings)
-            self.requests.follow(configured, lambda _: self._remember(), failed=self._show_accepted)
+            configured = self.connection.configure(settings)
+            self.requests.follow(configured, lambda _: remember_rig(rig, settings), failed=self._show_accepted)
         self.refresh()
 
     def park(self) -> None:
@@ -252,9 +253,6 @@ class RigPanel(EnginePanel):
         if self.connection.rig in self.rig.choices:
             self.rig.value = self.connection.rig
 
-    def _remember(self) -> None:
-        remember_rig(self.rig.value, self.settings)
-
     def _optics(self) -> str:
         optics, rows = preset(self.preset.value).optics, self.slit_rows.value
         calibration = self.connection.calibration
@@ -262,8 +260,9 @@ class RigPanel(EnginePanel):
             f"slit {optics.um(rows):.1f} \N{MICRO SIGN}m, exposure {1e6 * optics.exposure_s(rows):.1f} \N{MICRO SIGN}s"
         )
         if calibration is not None and calibration.offset is not None:
-            offset = calibration.offset.rows
-            text += f"; offset {offset:.1f} rows, {optics.um(offset):.1f} \N{MICRO SIGN}m"
+            offset, um_per_px = calibration.offset.rows, calibration.um_per_px
+            text += f"; offset {offset:.1f} rows"
+            text += f", {offset * um_per_px:.1f} \N{MICRO SIGN}m" if um_per_px is not None else ""
         return text
 
     def _status_text(self, client: EngineClient | None, busy: bool) -> str:
