@@ -463,7 +463,7 @@ def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_rec
 def test_accepting_goes_on_to_the_next_step_that_is_not_done(panel, qtbot, open_recording):
     from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
     panel.form.accept.click()
-    assert panel.key == "lag"
+    assert panel.key == "background", "the scan lag is measured live"
     from_file(qtbot, panel, "offset", open_recording / "line.tif")
     panel.form.accept.click()
     assert panel.key == "galvo"
@@ -502,6 +502,16 @@ def test_the_bundle_is_displayed_alone_in_the_units_of_the_other_layers(viewer, 
     assert shown.scale[0] == pytest.approx(620 / panel.candidate.found.confocal.diameter_px)
     panel.form.discard.click()
     assert [layer for layer in viewer.layers if layer.visible] == before
+
+
+def test_the_selected_layer_is_selected_again_after_the_bundle(viewer, panel, qtbot, open_recording):
+    mine = viewer.add_image(np.zeros((8, 8)))
+    viewer.add_image(np.zeros((8, 8)))
+    viewer.layers.selection.active = mine
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
+    assert viewer.layers.selection.active.name == OUTLINES
+    panel.form.discard.click()
+    assert viewer.layers.selection.active == mine
 
 
 def test_the_report_has_a_page_for_each_measured_step(panel, qtbot, open_recording, tmp_path):

@@ -47,6 +47,30 @@ def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, t
     assert "press Measure" in hints(panel(dock, "Calibration"))[0]
 
 
+def test_without_a_rig_the_steps_end_with_save_and_a_recording_for_a_live_one_is_refused(
+    dock, qtbot, drop, open_recording
+):
+    """Before: accepting led to the scan lag, which only a rig measures, and a recording dropped there did nothing."""
+    own = panel(dock, "Calibration")
+    steps = (
+        ("offset", "line.tif", "galvo"), ("galvo", "sweep.tif", "pair"), ("pair", "transmission.tif", "background"),
+        ("background", "background.tif", "background"),
+    )  # fmt: skip
+    for step, name, then in steps:
+        assert own.key == step
+        drop(own, open_recording / name)
+        qtbot.waitUntil(lambda: own.candidate is not None and not own.work.busy, timeout=60_000)
+        own.accept()
+        assert own.key == then
+    assert "press Save..." in hints(own)[0]
+    own.choose("lag")
+    assert "press Connect: this step is measured live" in hints(own)[0]
+    qtbot.waitUntil(lambda: not own.requests.busy, timeout=60_000)
+    drop(own, open_recording / "line.tif")
+    qtbot.waitUntil(lambda: not own.work.busy, timeout=60_000)
+    assert "connect the rig and measure it live" in problems.newest
+
+
 def test_a_recording_without_calibration_is_named_with_the_way_to_one(dock, qtbot, drop, tmp_path):
     """Before: *open a recording with a calibration*, while the user's recording lay open."""
     tifffile.imwrite(tmp_path / "mine.tif", frames())

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from napari_elsplus.widgets.calibration.session import ShownResult
 
 IMAGE, OUTLINES = "calibration: bundle", "calibration: outlines"
-PAIR_KEY, COVERED_KEY = "pair", "covered"
-"""Of the displayed result, and of the layers that it hides, in the image's metadata."""
+PAIR_KEY, COVERED_KEY, SELECTED_KEY = "pair", "covered", "selected"
+"""Of the displayed result, of the layers that it hides, and of those that were selected, in the image's metadata."""
 
 
 def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: Draft) -> None:
@@ -55,14 +55,18 @@ def show_bundle(viewer: napari.viewer.Viewer, shown: ShownResult | None, draft: 
     covered = [layer for layer in viewer.layers if layer.visible]
     for layer in covered:
         layer.visible = False
-    metadata = {PAIR_KEY: pair, COVERED_KEY: covered, PROVENANCE: facts}
+    selected = set(viewer.layers.selection)
+    metadata = {PAIR_KEY: pair, COVERED_KEY: covered, SELECTED_KEY: selected, PROVENANCE: facts}
     viewer.add_image(pair.image, name=IMAGE, metadata=metadata, **placed)
     viewer.add_shapes(data, **{**attributes, **placed})
 
 
 def _remove(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None:
-    """Remove our layers, and show those again that the image hid."""
+    """Remove our layers, and show and select those again that were visible and selected before."""
     for layer in layers:
         for covered in layer.metadata.get(COVERED_KEY, ()):
             covered.visible = True
         viewer.layers.remove(layer)
+    if layers and not viewer.layers.selection:
+        selected = {layer for one in layers for layer in one.metadata.get(SELECTED_KEY, ())}
+        viewer.layers.selection = selected.intersection(viewer.layers)

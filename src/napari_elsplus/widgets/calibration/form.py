@@ -141,7 +141,7 @@ class Form:
         for key, choice in self.steps.items():
             choice.clicked.connect(lambda _, key=key: step(key))
         self.bundle_um.valueChanged.connect(lambda um: bundle(um or None))
-        self.line_period_us.valueChanged.connect(lambda us: timing(line_period_s=1e-6 * us or None))
+        self.line_period_us.valueChanged.connect(lambda us: timing(line_period_s=us / 1e6 or None))
         self.periods_per_frame.valueChanged.connect(lambda periods: timing(line_periods_per_frame=periods or None))
 
     def save_plots_to(self, path: Path, title: str) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from napari_elsplus.processing.calibration.step import StepState
-from napari_elsplus.processing.calibration.steps import calibration_steps
+from napari_elsplus.processing.calibration.steps import find_step
+from napari_elsplus.widgets.calibration.session import undone_steps
 from napari_elsplus.widgets.shared.panel import next_hint
 
 if TYPE_CHECKING:
@@ -44,9 +45,9 @@ def next_action(key: str, draft: Draft, *, connected: bool, candidate: bool, sav
     """
     if candidate:
         return "press Accept, or Discard."
-    undone = [step for step in calibration_steps() if step.state(draft)[0] is not StepState.DONE]
-    shown = next((step for step in undone if step.key == key), None)
-    if shown is None:
+    shown = find_step(key)
+    if shown.state(draft)[0] is StepState.DONE:
+        undone = undone_steps(draft, live=connected)
         if undone:
             return f"press {undone[0].title} above."
         return "" if saved else "press Save..."

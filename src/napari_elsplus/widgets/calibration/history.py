@@ -75,7 +75,8 @@ class HistoryDialog(QDialog):
         plot = self.history.trends[index].plot
         self.plot.draw(plot.curves, bottom=plot.bottom, left=plot.left)
         files = self.history.files
-        counted = f"{len(files)} calibrations in {files[-1].parent.name}"
+        plural = "s" if len(files) > 1 else ""
+        counted = f"{len(files)} calibration{plural} in {files[-1].parent.name}"
         self.notes.setText("<br>".join([counted, *map(amber, self.history.warnings)]))
 
     def _choose_folder(self) -> None:

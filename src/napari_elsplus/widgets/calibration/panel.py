@@ -153,18 +153,18 @@ class CalibrationPanel(EnginePanel):
         volts : path-like, optional
             Table of a sweep's voltages; by default the one beside the recording.
         """
-        source = measuring.recorded_source(self.step, Path(path), None if volts is None else Path(volts))
-        measured = partial(measuring.measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
-        self.work.begin(0, measured, self._found)
+        with notify_errors(self):
+            source = measuring.recorded_source(self.step, Path(path), None if volts is None else Path(volts))
+            measured = partial(measuring.measure_recorded, source, self.draft, self.form.target_um, self.work.progress)
+            self.work.begin(0, measured, self._found)
         self.refresh()
 
     def measure_layer(self) -> None:
         """Measure the step from the raw frames of the selected layer, in a thread of its own."""
         with notify_errors(self):
             stack, volts = frames_of(self.viewer.layers.selection.active)
-            source, target_um = measuring.stack_source(self.step, stack), self.form.target_um
-            progress = self.work.progress
-            measured = partial(measuring.measure_frames, source, stack.planes, volts, self.draft, target_um, progress)
+            taken = measuring.stack_source(self.step, stack), stack.planes, volts, self.draft, self.form.target_um
+            measured = partial(measuring.measure_frames, *taken, self.work.progress)
             self.work.begin(0, measured, self._found)
         self.refresh()
 
@@ -172,7 +172,7 @@ class CalibrationPanel(EnginePanel):
         """Load the calibration at a dropped `path`, or measure the displayed step from a recording."""
         if path.suffix.lower() in CALIBRATION.suffixes:
             self.load(path)
-        elif self.step.option and not self.work.busy:
+        else:
             self.measure_file(path)
 
     def accept(self) -> None:
@@ -180,7 +180,7 @@ class CalibrationPanel(EnginePanel):
         with notify_errors(self):
             if self.session.accept():
                 self._activate(self.draft.calibration)
-                self.key = self.session.next_undone(self.key)
+                self.key = self.session.next_undone(self.key, live=self.connection.client is not None)
         self.refresh()
 
     def discard(self) -> None:

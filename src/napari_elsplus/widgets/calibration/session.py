@@ -11,6 +11,7 @@ from napari_elsplus.processing.calibration.steps import calibration_steps, find_
 if TYPE_CHECKING:
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.draft import Setup
+    from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.viewing.calibration_script import MeasurementSource
     from napari_elsplus.workflows.calibration_report.picture import Picture
 
@@ -22,6 +23,20 @@ class ShownResult(NamedTuple):
     setup: Setup
     picture: Picture
     source: MeasurementSource
+
+
+def undone_steps(draft: Draft, *, live: bool) -> list[CalibrationStep[Any]]:
+    """Return the steps that are missing or stale.
+
+    Parameters
+    ----------
+    draft : Draft
+        Results accepted so far.
+    live : bool
+        A rig is connected; otherwise those that are only measured live are left out.
+    """
+    possible = [step for step in calibration_steps() if live or step.option]
+    return [step for step in possible if step.state(draft)[0] is not StepState.DONE]
 
 
 class CalibrationSession:
@@ -68,12 +83,20 @@ class CalibrationSession:
         self.draft, self.candidate = draft, None
         return True
 
-    def next_undone(self, key: str) -> str:
-        """Return the key of the next step after that with a key that is missing or stale; the same if none is."""
-        steps = calibration_steps()
-        at = [step.key for step in steps].index(key)
-        undone = (step.key for step in (*steps[at:], *steps[:at]) if step.state(self.draft)[0] is not StepState.DONE)
-        return next(undone, key)
+    def next_undone(self, key: str, *, live: bool) -> str:
+        """Return the key of the next step after that with a key that is to be measured; the same if none is.
+
+        Parameters
+        ----------
+        key : str
+            Of a step.
+        live : bool
+            A rig is connected.
+        """
+        keys = [step.key for step in calibration_steps()]
+        at = keys.index(key)
+        undone = [keys.index(step.key) for step in undone_steps(self.draft, live=live)]
+        return keys[next((index for index in undone if index >= at), next(iter(undone), at))]
 
     def undo(self) -> bool:
         """Restore the draft before its last change; return True if there was one."""
