@@ -47,6 +47,20 @@ def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, t
     assert "press Measure" in hints(panel(dock, "Calibration"))[0]
 
 
+def test_a_recording_that_is_opened_is_chosen_unless_another_is_compared(dock, qtbot, drop, tmp_path):
+    """Before: the sample stayed chosen, and the mosaic was not of the recording that had just been opened."""
+    choices = [panel(dock, "Compare").recording, panel(dock, "Mosaic").form.recording]
+    for name in ("first", "second"):
+        drop(panel(dock, "Compare"), write_pair(tmp_path, name=name))
+        assert [choice.value for choice in choices] == [f"{name} raw"] * 2
+    dock.viewer.layers["first raw"].name = "renamed"
+    assert [choice.value for choice in choices] == ["second raw"] * 2
+    panel(dock, "Compare").begin()
+    qtbot.waitUntil(lambda: panel(dock, "Compare").comparing, timeout=60_000)
+    drop(panel(dock, "Compare"), write_pair(tmp_path, name="third"))
+    assert [choice.value for choice in choices] == ["second raw", "third raw"]
+
+
 def test_without_a_rig_the_steps_end_with_save_and_a_recording_for_a_live_one_is_refused(
     dock, qtbot, drop, open_recording
 ):

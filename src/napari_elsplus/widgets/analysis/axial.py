@@ -198,8 +198,8 @@ class AxialResponsePanel(AnalysisPanel):
         self._form = form_layout(self.source, *fields, self.shown)
         layout.addLayout(self._form)
         layout.addWidget(self.work)
-        layout.addWidget(self.plot, 1)
         layout.addWidget(self.numbers)
+        layout.addWidget(self.plot, 1)
         layout.addLayout(button_row(self.script, self.save, self.clear))
 
     @property

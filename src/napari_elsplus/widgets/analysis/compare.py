@@ -288,8 +288,9 @@ class ComparePanel(AnalysisPanel):
         if self._incomplete:
             self._ending.start()  # the user removed one of them; napari may be about to remove more
             return
-        self.recording.refresh()
-        available, idle = bool(self.recording.choices), not self.work.busy
+        idle = not self.work.busy
+        self.recording.refresh(newest=idle and not self.comparing)
+        available = bool(self.recording.choices)
         if not self.comparing:
             self.show_numbers()
         for choice in (self.recording, self.cores, self.view):

@@ -357,7 +357,7 @@ class MosaicPanel(EnginePanel):
                 self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
-        self.form.recording.refresh()
+        self.form.recording.refresh(newest=not self.work.busy)
         self.refresh()
 
     def _theme_changed(self) -> None:

@@ -50,6 +50,7 @@ class LayerChoice(ComboBox):
     ) -> None:
         self._viewer = viewer
         super().__init__(label=label, choices=lambda _: offered(viewer), tooltip=tooltip)
+        self._known: list[Layer] = []
         self._note_layer()
         self.changed.connect(self._note_layer)
 
@@ -69,15 +70,23 @@ class LayerChoice(ComboBox):
             f"the recording again; or open {SAMPLE}"
         )
 
-    def refresh(self) -> None:
-        """Update the entries without a changed signal; a layer that is still offered stays chosen, by whatever name."""
+    def refresh(self, *, newest: bool = False) -> None:
+        """Update the entries without a changed signal; a layer that is still offered stays chosen, by whatever name.
+
+        Parameters
+        ----------
+        newest : bool
+            Choose a calibrated recording that was opened since.
+        """
         with self.changed.blocked():
             self.reset_choices()
-            layer = self._layer
+            recordings = [self._viewer.layers[name] for name in calibrated_recordings(self._viewer)]
+            opened = [layer for layer in recordings if layer not in self._known]
+            self._known = recordings
+            layer = opened[-1] if newest and opened else self._layer
             if layer is not None and layer in self._viewer.layers and layer.name in self.choices:
                 self.value = layer.name
-            else:
-                self._note_layer()
+            self._note_layer()
 
     def _note_layer(self) -> None:
         chosen = (layer for layer in self._viewer.layers if layer.name == self.value)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
-from qtpy.QtCore import QPoint, QPointF, Qt
+from qtpy.QtCore import QLocale, QPoint, QPointF, Qt
 from qtpy.QtGui import QWheelEvent
-from qtpy.QtWidgets import QApplication, QLabel, QScrollArea, QSpinBox, QWidget
+from qtpy.QtWidgets import QApplication, QDoubleSpinBox, QLabel, QScrollArea, QSpinBox, QWidget
 
 from napari_elsplus.widgets.shared.panel import form_layout, panel_layout
 
@@ -48,3 +48,23 @@ def test_the_wheel_scrolls_over_fields_and_changes_none(qtbot, focused):
         assert field.hasFocus() <= focused
     assert [one.value for one in fields] == ["a", 5.0, 5]
     assert plain.value() == 5
+
+
+@pytest.mark.parametrize("language", ["C", "de_DE"])
+@pytest.mark.parametrize("typed", ["7.648", "7,648"])
+def test_decimal_points_and_commas_are_understood_in_every_language_and_points_written(qtbot, language, typed):
+    """Before: a line period of 7,648 us was taken for 764 us."""
+    panel = QWidget()
+    qtbot.addWidget(panel)
+    field = QDoubleSpinBox()
+    field.setDecimals(4)
+    field.setRange(0, 1000)
+    field.setLocale(QLocale(language))
+    panel_layout(panel).addWidget(field)
+    panel.show()
+    qtbot.waitExposed(panel)
+    field.selectAll()
+    qtbot.keyClicks(field, typed)
+    qtbot.keyClick(field, Qt.Key.Key_Return)
+    assert field.value() == 7.648
+    assert field.text() == "7.6480"

@@ -5,8 +5,17 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
-from qtpy.QtCore import QEvent, QObject, QSize, Qt
-from qtpy.QtWidgets import QAbstractSpinBox, QApplication, QComboBox, QFrame, QScrollArea, QWidget
+from qtpy.QtCore import QEvent, QLocale, QObject, QSize, Qt
+from qtpy.QtGui import QKeyEvent
+from qtpy.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QDoubleSpinBox,
+    QFrame,
+    QScrollArea,
+    QWidget,
+)
 
 if TYPE_CHECKING:
     from qtpy.QtGui import QShowEvent
@@ -45,14 +54,23 @@ class PanelScrollArea(QScrollArea):
         return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX)
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Watch the fields for the wheel; see :meth:`QWidget.showEvent`."""
+        """Watch the fields for wheel and keys, and have them write numbers as texts and files do, with a point."""
         for field in chain.from_iterable(map(self.findChildren, FIELDS)):
+            field.setLocale(QLocale.c())
             field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
             field.installEventFilter(self)
         super().showEvent(event)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Scroll by the wheel over a field; follow the content's smallest width; see :meth:`QObject.eventFilter`."""
+        """Scroll by the wheel over a field, write a typed comma as a point; follow the content's smallest width.
+
+        Qt takes the comma for a separator of thousands: 7,648 would be 764. See :meth:`QObject.eventFilter`.
+        """
+        if isinstance(watched, QDoubleSpinBox) and isinstance(event, QKeyEvent):
+            line = watched.lineEdit()
+            if line is not None and event.type() == QEvent.Type.KeyPress and event.text() == ",":
+                line.insert(".")
+                return True
         if event is not None and event.type() == QEvent.Type.Wheel and isinstance(watched, FIELDS):
             QApplication.sendEvent(self.viewport(), event)
             return True
