@@ -49,6 +49,7 @@ class LayerChoice(ComboBox):
         tooltip: str,
     ) -> None:
         self._viewer = viewer
+        self._layer: Layer | None = None
         super().__init__(label=label, choices=lambda _: offered(viewer), tooltip=tooltip)
         self._known: list[Layer] = []
         self._note_layer()
@@ -85,12 +86,13 @@ class LayerChoice(ComboBox):
             self._known = recordings
             layer = opened[-1] if newest and opened else self._layer
             if layer is not None and layer in self._viewer.layers and layer.name in self.choices:
-                self.value = layer.name
-            self._note_layer()
+                self.value, self._layer = layer.name, layer
+            else:
+                self._note_layer()
 
     def _note_layer(self) -> None:
         chosen = (layer for layer in self._viewer.layers if layer.name == self.value)
-        self._layer: Layer | None = next(chosen, None)
+        self._layer = next(chosen, None)
 
 
 def calibrated_recordings(viewer: napari.viewer.Viewer) -> list[str]:
