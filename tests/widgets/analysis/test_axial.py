@@ -40,6 +40,7 @@ def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_fil
     panel.measure.native.click()
     assert panel.work.busy
     assert not panel.measure.enabled
+    assert panel.numbers.text() == ""
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert [(layer.name, layer.visible) for layer in viewer.layers] == before
     (scan,) = panel.scans
@@ -47,6 +48,7 @@ def test_a_stack_is_measured_beside_the_window_and_saved(viewer, panel, scan_fil
     assert [curve.name for curve in panel.plot.curves] == ["LS", "residual", "ELS+"]
     assert "30.0 ±" in panel.numbers.text()
     assert "record the scan there and back" in panel.numbers.text()
+    assert " um" not in panel.numbers.text()
 
     for ending in ("json", "csv", "png"):
         panel.save_to(tmp_path / f"out.{ending}")

@@ -213,7 +213,7 @@ class AxialResponsePanel(AnalysisPanel):
         if taking and 0 < self._depths < MIN_DEPTHS:
             text = f"{self._depths} of at least {MIN_DEPTHS} depths acquired"
         else:
-            text = table(self.scans) if self.scans else next_hint(self._next_action())
+            text = table(self.scans) if self.scans else next_hint("" if self.work.busy else self._next_action())
         self.numbers.setText(text)
 
     def _next_action(self) -> str:

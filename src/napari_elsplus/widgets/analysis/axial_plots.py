@@ -81,7 +81,7 @@ def table(scans: Sequence[Scan]) -> str:
     rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the LS signal kept</td></tr>")
     rows.append(row("LS", _with_uncertainty(one.ls_3db), _with_uncertainty(one.ls_10db)))
     rows.append(row("ELS+", _with_uncertainty(one.els_3db), _with_uncertainty(one.els_10db)))
-    notes = (note.replace("+-", "±").replace(" %", "&nbsp;%") for note in axial_notes(one))
+    notes = (note.replace("+-", "±").replace(" um", " µm").replace(" %", "&nbsp;%") for note in axial_notes(one))
     rows += [f"<tr><td colspan=3>{note}</td></tr>" for note in notes]
     return f"<table width='100%' cellspacing=2>{''.join(rows)}</table>"
 
