@@ -88,3 +88,19 @@ def test_the_tabs_begin_below_the_title_of_the_dock(dock, qtbot, font_pt):
 
 
 SCANS = (MANUAL, SIMULATED)
+
+
+def test_save_stays_in_view_below_the_plot_of_a_step(dock, qtbot, open_recording):
+    """Before: the panel named Save as the next action, and the window of a laptop displayed it only when scrolled."""
+    dock.viewer.window.resize(*SIZES[0])
+    dock.show_tab("Calibration")
+    panel = dock.by_title["Calibration"].panel
+    panel.choose("pair")
+    panel.measure_file(open_recording / "transmission.tif")
+    qtbot.waitUntil(lambda: panel.candidate is not None and not panel.work.busy, timeout=60_000)
+    panel.accept()
+    panel.choose("pair")
+    qtbot.waitUntil(lambda: panel.form.plots[0].isVisible(), timeout=60_000)
+    save = panel.form.save
+    assert save.isEnabled()
+    qtbot.waitUntil(lambda: save.visibleRegion().boundingRect() == save.rect(), timeout=10_000)

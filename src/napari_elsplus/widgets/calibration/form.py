@@ -25,7 +25,7 @@ from napari_elsplus.instrument.optics import MAX_BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
-from napari_elsplus.widgets.shared.panel import panel_layout, text_label
+from napari_elsplus.widgets.shared.panel import panel_layout, pin_below, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.rig_choice import preset_label
 from napari_elsplus.widgets.shared.window.keys import key_name
@@ -357,7 +357,7 @@ class Form:
             layout.addWidget(plot, PLOT_STRETCH)
         layout.addStretch(1)
         layout.addWidget(self.numbers)
-        layout.addLayout(_grid(self.load, self.save, self.report, self.history, self.save_plots, self.script))
+        pin_below(panel, _grid(self.load, self.save, self.report, self.history, self.save_plots, self.script))
 
 
 def _html(text: str) -> str:

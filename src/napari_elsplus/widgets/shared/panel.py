@@ -10,7 +10,7 @@ from weakref import WeakSet
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent, QTimer
-from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QLayout, QVBoxLayout, QWidget
 
 from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
@@ -225,6 +225,16 @@ def panel_layout(panel: QWidget) -> QVBoxLayout:
     outer.addWidget(PanelScrollArea(content))
     layout.setContentsMargins(*[MARGIN_PX] * 4)
     return layout
+
+
+def pin_below(panel: QWidget, row: QLayout) -> None:
+    """Add a `row` of buttons below the rows of a `panel` that scroll, which has the layout of :func:`panel_layout`."""
+    outer, scroll = panel.layout(), panel.findChild(PanelScrollArea)
+    assert isinstance(outer, QVBoxLayout)
+    assert scroll is not None
+    row.setContentsMargins(*[MARGIN_PX] * 4)
+    outer.addLayout(row)
+    scroll.below = row
 
 
 def button_row(*buttons: Widget) -> QHBoxLayout:

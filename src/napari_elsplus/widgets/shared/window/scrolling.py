@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QFrame,
+    QLayout,
     QScrollArea,
     QWidget,
 )
@@ -39,10 +40,16 @@ class PanelScrollArea(QScrollArea):
     ----------
     content : QWidget
         What is scrolled.
+
+    Attributes
+    ----------
+    below : QLayout or None
+        What lies below in the panel and is not scrolled.
     """
 
     def __init__(self, content: QWidget) -> None:
         super().__init__()
+        self.below: QLayout | None = None
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setWidgetResizable(True)
         self.setWidget(content)
@@ -51,7 +58,8 @@ class PanelScrollArea(QScrollArea):
         """Return the content's smallest width with the scroll bar, and a height that fits small screens."""
         content, bar = self.widget(), self.verticalScrollBar()
         width_px = (content.minimumSizeHint().width() if content else 0) + (bar.sizeHint().width() if bar else 0)
-        return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX)
+        below_px = 0 if self.below is None else self.below.sizeHint().height()
+        return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX - below_px)
 
     def showEvent(self, event: QShowEvent | None) -> None:
         """Watch the fields for wheel and keys, and have them write numbers as texts and files do, with a point."""
