@@ -62,7 +62,7 @@ class PanelScrollArea(QScrollArea):
         return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX - below_px)
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Watch the fields for wheel and keys, and have them write numbers as texts and files do, with a point."""
+        """Watch the fields, and have them write numbers with a point, as texts do; see :meth:`QWidget.showEvent`."""
         for field in chain.from_iterable(map(self.findChildren, FIELDS)):
             field.setLocale(QLocale.c())
             field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
