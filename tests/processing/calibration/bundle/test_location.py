@@ -91,6 +91,14 @@ def test_bundles_that_nearly_touch_are_told_apart() -> None:
     assert_found(rig.bundle()[0], rig)
 
 
+@pytest.mark.parametrize("columns", [(0, 400), (400, 0)])
+def test_bundles_beside_the_middle_of_a_wide_frame_are_told_apart(columns: tuple[int, int]) -> None:
+    rig = replace(RIG, right=(95.5, 297.0))
+    image = np.pad(rig.bundle()[0], ((0, 0), columns), constant_values=4)
+    moved = [(row, column + columns[0]) for row, column in (rig.left, rig.right)]
+    assert_found(image, replace(rig, left=moved[0], right=moved[1]))
+
+
 def refused(kind: str) -> np.ndarray:
     image = RIG.bundle()[0]
     left_only = image.copy()

@@ -171,13 +171,14 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _dark_column(mask: NDArray[np.bool_], threshold: float) -> int:
-    """Return the column between the two images: the middle of the darkest gap near the middle of the frame."""
+    """Return the column between the two images: the middle of the darkest gap near the middle of the lit columns."""
     counts = mask.sum(axis=0)
-    if not counts.any():
+    lit = np.flatnonzero(counts)
+    if not lit.size:
         raise _not_two(0, threshold)
-    start, stop = int(0.3 * len(counts)), int(np.ceil(0.7 * len(counts)))
-    middle = counts[start:stop]
-    if middle.min() > 0.25 * counts.max():
+    start, stop = (lit[0] + np.array([0.3, 0.7]) * (np.ptp(lit) + 1)).astype(int)
+    middle = counts[start : stop + 1]
+    if middle.min() > 0.5 * counts.max():
         raise _not_two(1, threshold)
     return start + middle_of_longest_run(np.flatnonzero(middle == middle.min()))
 
