@@ -26,16 +26,18 @@ def scanned(
     down: float = 1.0,
     turns: float = 1.0,
     fall: float = 0.0,
+    breath: float = 0.0,
 ) -> LineLight | None:
     """Estimate the light from 60 frames on a loop, with shares of its motion along and across the line.
 
-    A number of turns below 1 leaves the loop open; the light falls by a share in the course of the frames.
+    A number of turns below 1 leaves the loop open; the light falls by a share in the course of the frames, and their
+    contrast comes and goes by a share, as where the focus does.
     """
     random = np.random.default_rng(seed)
     grain = random.normal(size=(420, 420)).astype(np.float32)
     scene = np.exp(1.2 * cv2.GaussianBlur(grain, (0, 0), 2.5) / 0.11)
     angle = np.linspace(0, 2 * np.pi * turns, 60)
-    power = (1 - fall) ** np.linspace(0, 1, 60)
+    power = (1 - fall) ** np.linspace(0, 1, 60) * (1 - breath * (0.5 - 0.5 * np.cos(np.linspace(0, 5 * np.pi, 60))))
     places = np.rint(np.stack([down * 70 * np.sin(angle), across * 70 * np.cos(angle)], axis=1)).astype(int)
     static = haze * np.linspace(0, 1, SIDE)
     images, poses = [], []
@@ -105,6 +107,14 @@ def test_light_that_fades_on_the_way_is_not_uneven(seed: int, fall: float) -> No
     assert found is not None
     assert not found.uneven
     assert misfit(found, np.ones(SIDE)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_contrast_that_comes_and_goes_with_the_focus_is_not_uneven_light(seed: int) -> None:
+    """The light was stated to be 28 to 231 % of its mean, and the mosaic divided by it."""
+    found = scanned(np.ones(SIDE), seed, turns=0.5, breath=0.6)
+    assert found is not None
+    assert not found.uneven
 
 
 @pytest.mark.parametrize("fall", [0.0, 0.3, 0.8])

@@ -55,7 +55,8 @@ of 80 % is left by 1.6 %, with six by 0.6 % (four scenes of the tests)."""
 LIGHT_PRIOR: Final = 0.3
 """Standard deviation of each cosine's amplitude, relative; chosen."""
 BRIGHTNESS_PRIOR: Final = 0.03
-"""Standard deviation of the frames' brightness, relative; chosen, that of an unsteady laser."""
+"""Standard deviation of the frames' brightness, relative, at least; chosen, that of an unsteady laser. That found is
+taken where it is larger, as where contact or focus changes."""
 TISSUE_CONTRAST: Final = 0.2
 """Relative standard deviation of the contrast of fields of tissue that do not overlap, at least; chosen."""
 MIN_DEPARTURE: Final = 0.02
@@ -327,9 +328,12 @@ def _fit(
         curvature = weighted.T @ design + np.diag(precision)
         solution = np.linalg.solve(curvature, weighted.T @ values)
         misses = values - design @ solution
+        precision[light_terms:-1] = 1 / max(BRIGHTNESS_PRIOR**2, float(np.square(solution[light_terms:-1]).mean()))
         noise = float(np.sqrt(np.average(np.square(misses[used]), weights=weights[used])))
         used = np.abs(misses) < OUTLIER_SIGMAS * noise
     influence = estimator_influence(weighted * misses[:, None], curvature, pair, int(pair.max()) + 1)
+    of_prior = np.sqrt(precision * design.any(axis=0))[:, None] * np.linalg.inv(curvature)
+    influence = np.concatenate([influence, of_prior])
     line, scan = (wave @ solution[part] for wave, part in zip(waves, _PARTS, strict=True))
     line_errors, scan_errors = (wave @ influence[:, part].T for wave, part in zip(waves, _PARTS, strict=True))
     light = np.exp(scan[:, None] + line)
