@@ -505,6 +505,19 @@ def test_a_page_that_lacks_some_of_its_pixels_is_refused_and_not_read_as_black(t
             recording[2]
 
 
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("other", [np.zeros((30, 60), np.uint16), np.zeros((40, 60), np.uint8)])
+def test_a_page_of_another_size_or_depth_than_the_first_is_refused(tmp_path, other, compression):
+    frames = list(np.random.default_rng(3).integers(0, 4095, (12, 40, 60), np.uint16))
+    with tifffile.TiffWriter(tmp_path / "pages.tif") as writer:
+        for frame in [*frames[:5], other, *frames[6:]]:
+            writer.write(frame, contiguous=False, metadata=None, compression=compression)
+    with open_recording(tmp_path / "pages.tif") as recording:
+        np.testing.assert_array_equal(recording[6], frames[6])
+        with pytest.raises(InputError, match=r"pages\.tif: frame 5 is stored otherwise than the first"):
+            recording[5]
+
+
 @pytest.mark.parametrize("options", [{"compression": "zlib"}, {"contiguous": False}, {"metadata": None}])
 def test_a_tiff_written_frame_by_frame_is_one_stack(tmp_path, options):
     frames = np.random.default_rng(3).integers(0, 255, (7, 40, 60), np.uint8)

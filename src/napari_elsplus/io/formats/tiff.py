@@ -99,6 +99,13 @@ class PagedTiff(FrameSource):
             if (part := page.parent.filehandle).closed:  # of a stack in several files; all are closed with the first
                 part.open()
                 part.set_lock(True)
+            with part.lock:  # which decoding holds while it reads
+                own = page if page.is_virtual else page.aspage()  # tifffile takes all pages to be like the first
+        if own.hash != page.keyframe.hash:
+            raise InputError(
+                f"{self.path.name}: frame {index} is stored otherwise than the first ({own.shape}, {own.dtype})",
+                "save one stack per file",
+            )
         if 0 in page.dataoffsets or 0 in page.databytecounts:  # which tifffile reads as black
             raise InputError(f"{self.path.name}: frame {index} lacks some of its pixels", "copy or record it again")
         image = page.asarray(maxworkers=1)
