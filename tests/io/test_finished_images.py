@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Callable
@@ -68,3 +69,11 @@ def test_an_interrupted_zarr_leaves_nothing(tmp_path: Path, write: Callable[...,
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_image_is_named_after_the_whole_name_of_its_file(tmp_path: Path) -> None:
+    pytest.importorskip("zarr")
+    path = tmp_path / "2026.01.05 skin.ome.zarr"
+    write_images(path, np.zeros((2, 8, 8), np.float32))
+    attributes = json.loads((path / "zarr.json").read_text())["attributes"]
+    assert attributes["ome"]["multiscales"][0]["name"] == "2026.01.05 skin"

@@ -12,7 +12,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import flush, replacing
-from napari_elsplus.io.formats.registry import FileFormat, ImageMetadata, format_to_write
+from napari_elsplus.io.formats.registry import FileFormat, ImageMetadata, format_to_write, recording_stem
 
 if TYPE_CHECKING:
     import os
@@ -180,7 +180,7 @@ def _write(chosen: FileFormat, path: Path, images: Iterable[NDArray[Any]], count
 
 def _named(metadata: ImageMetadata, path: str | os.PathLike[str]) -> ImageMetadata:
     """Return the metadata with a name of the images: that of their file, unless they have one."""
-    return metadata if metadata.name else replace(metadata, name=Path(path).name.split(".")[0])
+    return metadata if metadata.name else replace(metadata, name=recording_stem(Path(path).name))
 
 
 def contiguous_images(images: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:

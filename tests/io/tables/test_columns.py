@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from napari_elsplus.errors import InputError
-from napari_elsplus.io import read_depths_um, read_volts, write_column, write_table
+from napari_elsplus.io import read_depths_um, read_volts, volts_beside, write_column, write_table
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=9))
@@ -23,6 +23,15 @@ def test_what_numpy_and_spreadsheets_write_is_read(tmp_path):
     (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbfvolts\r\n1\r\n2.5\r\n\r\n")
     for name in ("a.csv", "b.csv"):
         np.testing.assert_array_equal(read_volts(tmp_path / name), [1, 2.5])
+
+
+@pytest.mark.parametrize("name", ["sweep", "sweep 2026.01.05", "0.5 um"])
+@pytest.mark.parametrize("suffix", [".tif", ".ome.tif"])
+def test_voltages_lie_beside_a_sweep_under_its_whole_name(tmp_path, name, suffix):
+    table = tmp_path / f"{name}_volts.csv"
+    assert volts_beside(tmp_path / (name + suffix)) is None
+    write_column(table, "volts", [1.0])
+    assert volts_beside(tmp_path / (name + suffix)) == table
 
 
 @pytest.mark.parametrize(

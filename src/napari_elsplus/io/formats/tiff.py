@@ -101,7 +101,7 @@ class PagedTiff(FrameSource):
                 part.set_lock(True)
             with part.lock:  # which decoding holds while it reads
                 own = page if page.is_virtual else page.aspage()  # tifffile takes all pages to be like the first
-        if own.hash != page.keyframe.hash:
+        if own.hash != self._series.keyframe.hash:
             raise InputError(
                 f"{self.path.name}: frame {index} is stored otherwise than the first ({own.shape}, {own.dtype})",
                 "save one stack per file",

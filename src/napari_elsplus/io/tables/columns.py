@@ -11,6 +11,7 @@ import numpy as np
 
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import replacing
+from napari_elsplus.io.calibration_lookup import existing_beside
 from napari_elsplus.io.text import read_lines
 
 if TYPE_CHECKING:
@@ -53,9 +54,7 @@ def read_volts(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
 def volts_beside(sweep: str | os.PathLike[str]) -> Path | None:
     """Return the table of voltages beside the recording of a sweep, ``NAME_volts.csv``; None if there is none."""
-    sweep = Path(sweep)
-    table = sweep.with_name(f"{sweep.name.partition('.')[0]}_volts.csv")
-    return table if table.is_file() else None
+    return existing_beside(sweep, "_volts.csv")
 
 
 def read_column(path: str | os.PathLike[str], header: str) -> NDArray[np.float64]:

@@ -198,7 +198,7 @@ def fit_galvo(
         column = float(np.median([line.column for _, line in whole]))
     v = volts[frames := np.array([k for k, _ in whole])]
     if np.ptp(v) < MIN_SWEEP_V:
-        raise InputError(f"all voltages are {v[0]:g}, to {np.ptp(v):g} V", "sweep a range of voltages")
+        raise InputError(f"the voltages of frames with a line span {np.ptp(v):g} V", "sweep a range of voltages")
     if (different := _different(v)) < MIN_LINES:
         raise MeasurementError(
             f"the {len(whole)} frames with a line have {different} different voltages, {MIN_LINES} are needed",
@@ -207,20 +207,23 @@ def fit_galvo(
     radius_px = (longest if diameter_px is None else diameter_px) / 2
     bow = _common_bow(v, [line for _, line in whole], column, radius_px)
     rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
-    require_steady(rows, _polynomial(_place(v)), frames)
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
 
-    slope = float(theilslopes(rows, v).slope)
-    away = rows - slope * v
-    away -= np.median(away)
-    scatter = max(float(robust_sigma(away)), 0.02)
-    used = np.abs(away) < OUTLIER_SIGMAS * scatter
+    used, before = np.ones(len(v), bool), None
+    while before is None or (used.sum() < before.sum() and used.any()):  # each pass sees past more of the outliers
+        slope = float(theilslopes(rows[used], v[used]).slope)
+        away = rows - slope * v
+        away -= np.median(away[used])
+        scatter = max(float(robust_sigma(away[used])), 0.02)
+        before, used = used, np.abs(away) < OUTLIER_SIGMAS * scatter
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
-            f"the line moves {travel:.1f} rows over the sweep, {100 * (1 - used.mean()):.0f} % of it out of step",
+            f"the line moves {travel:.1f} rows over the sweep, {scatter:.2g} rows beside a straight path, in"
+            f" {100 * (1 - used.mean()):.0f} % of the frames by more than {OUTLIER_SIGMAS:g} times that",
             "do the voltages belong to these frames, and does the galvo move?",
         )
+    require_steady(rows[used], _polynomial(_place(v))[used], frames[used])
     drawn_rows, by_light = _drawn_by_light(v, [line for _, line in whole], used)
     rows = rows - drawn_rows
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
