@@ -176,7 +176,7 @@ def _dark_column(mask: NDArray[np.bool_], threshold: float) -> int:
     lit = np.flatnonzero(counts)
     if not lit.size:
         raise _not_two(0, threshold)
-    start, stop = (lit[0] + np.array([0.3, 0.7]) * (np.ptp(lit) + 1)).astype(int)
+    start, stop = (int(lit[0] + part * (np.ptp(lit) + 1)) for part in (0.3, 0.7))
     middle = counts[start : stop + 1]
     if middle.min() > 0.5 * counts.max():
         raise _not_two(1, threshold)
