@@ -70,16 +70,19 @@ def test_what_goes_wrong_with_a_frame_is_raised_and_ends_the_other_thread(truth:
     assert not any(thread.name.startswith("images") for thread in threading.enumerate())
 
 
+@pytest.mark.parametrize("error", [ValueError, SystemExit])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_in_its_place(threads: int) -> None:
+def test_images_computed_ahead_are_those_of_one_thread_and_the_same_error_comes_in_its_place(
+    threads: int, error: type[BaseException]
+) -> None:
     def make(number: int) -> NDArray[np.float32]:
         if number == 9:
-            raise ValueError("the tenth")
+            raise error("the tenth")
         return np.full((2, 2), number, np.float32)
 
     ahead = iter(ComputedAhead(make, ((number,) for number in range(12)), 12, threads=threads))
     assert [int(next(ahead)[0, 0]) for _ in range(9)] == list(range(9))
-    with pytest.raises(ValueError, match="the tenth"):
+    with pytest.raises(error, match="the tenth"):
         next(ahead)
     assert not any(thread.name.startswith("images") for thread in threading.enumerate())
 
