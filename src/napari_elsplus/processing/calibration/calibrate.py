@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from napari_elsplus.errors import InputError
 from napari_elsplus.instrument.calibration import Calibration, OpticsSection
 from napari_elsplus.instrument.optics import require_bundle_um
@@ -16,13 +14,18 @@ from napari_elsplus.processing.calibration.steps import calibration_steps
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
 
-MAX_LINE_PERIOD_S: Final = 1e-3
-"""Seconds from one row to the next at most; chosen: cameras take 5 to 100 us, and a number above is in another unit."""
+PLAUSIBLE: Final = {
+    "um_per_px": (1e-2, 1e2, "give the micrometres at the specimen for one camera pixel, about 1"),
+    "line_period_s": (1e-7, 1e-3, "give the seconds from one row to the next, about 1e-5"),
+    "rows_per_frame": (1.0, 1e7, "count all line periods from one frame to the next"),
+}
+"""Least and largest value; chosen: cameras take 5 to 100 us for a row, and a number beyond is in another unit."""
 MEASURED_FIRST: Final = ("background", "pair")
 """Keys of the steps whose results the other steps use where they are known."""
 
@@ -84,15 +87,11 @@ def measure(
     optics = _optics_section(um_per_px, line_period_s, line_periods_per_frame)
     if bundle_um is not None:
         require_bundle_um(bundle_um)
-    if line_period_s is not None and line_period_s > MAX_LINE_PERIOD_S:
-        raise InputError(
-            f"a line period of {line_period_s:g} s", "give the seconds from one row to the next, about 1e-5"
-        )
     rows = max((taken[0].shape[0] for taken in given.values()), default=0)
     if line_periods_per_frame is not None and line_periods_per_frame < rows:
         raise InputError(
             f"{line_periods_per_frame:g} rows per frame, but frames have {rows} rows",
-            "count all line periods from one frame to the next",
+            PLAUSIBLE["rows_per_frame"][-1],
         )
     draft = Draft(Calibration(optics=optics), bundle_um=bundle_um)
     for step in calibration_steps(first=MEASURED_FIRST):
@@ -128,6 +127,7 @@ def _optics_section(
     numbers = {"um_per_px": um_per_px, "line_period_s": line_period_s, "rows_per_frame": line_periods_per_frame}
     known = {name: value for name, value in numbers.items() if value is not None}
     for name, value in known.items():
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value}", "it must be a positive number")
+        least, largest, remedy = PLAUSIBLE[name]
+        if not least <= value <= largest:
+            raise InputError(f"{name} is {value:g}", remedy)
     return OpticsSection(**known) if known else None
