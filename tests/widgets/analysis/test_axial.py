@@ -154,13 +154,14 @@ def test_several_simulated_scans_are_drawn_against_the_offset(panel, qtbot, monk
     panel.scans.clear()
     for offset_um in (12.0, 29.0, 58.0):
         els = 1 / (1 + (depth / (58 * (1 - np.exp(-offset_um / 30)))) ** 2)
-        panel.scans.append(Scan(f"{offset_um}", axial_response(depth, ls, ls - els), offset_um, 2.9))
+        panel.scans.append(Scan(f"<{offset_um}", axial_response(depth, ls, ls - els), offset_um, 2.9))
     panel.shown.value = "slit offset"
     three, _, *fits = panel.plot.curves
     np.testing.assert_array_equal(three.x, [12, 29, 58])
     assert fits[0].name.startswith("3 dB fit: 58")
     panel.shown.value = "signal and depth"
     assert len(panel.plot.curves) == 5
+    assert "&lt;58.0" in panel.numbers.text()
     assert STACK in panel.source.choices
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -78,7 +79,9 @@ def table(scans: Sequence[Scan]) -> str:
     rows = [row("", "3 dB / µm", "10 dB / µm")]
     rows += [row(scan.name, _value(scan.response.els_3db), _value(scan.response.els_10db)) for scan in others]
     one = last.response
-    rows.append(f"<tr><td colspan=3><b>{last.name}</b>: {100 * one.signal_kept:.0f} % of the LS signal kept</td></tr>")
+    rows.append(
+        f"<tr><td colspan=3><b>{escape(last.name)}</b>: {100 * one.signal_kept:.0f} % of the LS signal kept</td></tr>"
+    )
     rows.append(row("LS", _with_uncertainty(one.ls_3db), _with_uncertainty(one.ls_10db)))
     rows.append(row("ELS+", _with_uncertainty(one.els_3db), _with_uncertainty(one.els_10db)))
     notes = (note.replace("+-", "±").replace(" um", " µm").replace(" %", "&nbsp;%") for note in axial_notes(one))
