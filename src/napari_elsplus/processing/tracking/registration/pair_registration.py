@@ -19,7 +19,7 @@ from napari_elsplus.processing.tracking.registration import motion_models
 from napari_elsplus.processing.tracking.registration.odds import log_odds_between, weakest_direction
 from napari_elsplus.processing.tracking.registration.pyramid import Levels, fill_levels
 from napari_elsplus.processing.tracking.registration.pyramid_descent import Tools, later_velocity, register
-from napari_elsplus.processing.tracking.registration.shift_search import EveryShift
+from napari_elsplus.processing.tracking.registration.shift_search import MAX_PEAKS, EveryShift
 from napari_elsplus.processing.tracking.registration.uneven_motion import EXACT_PX, align_unevenly
 
 if TYPE_CHECKING:
@@ -281,6 +281,7 @@ class Registrar:
         """Register two frames from every shift that may be the most likely one; the odds know of the others."""
         halves, known = self._halves(earlier, later), (motion.warp, motion.terms, self._tools.sums)
         starts = self._searched(earlier, later, motion)
+        at_most = inf if len(starts) <= 2 * MAX_PEAKS else 0.0  # others, which are not among them, fit as well
         links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
         found = [link for link in links if link.correlation > 0] or links[:1]
         best = found[0]
@@ -292,7 +293,7 @@ class Registrar:
             for link in found
             if hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
         )
-        return best._replace(odds=min([best.odds, *others]))
+        return best._replace(odds=min([best.odds, at_most, *others]))
 
     def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> list[Warp]:
         """Return the expected warp at the most likely of all shifts, and at those that may be as likely."""

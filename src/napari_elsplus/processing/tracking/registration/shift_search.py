@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _NATS_PER_PX: Final = 0.05 / 16
 """Weight of a pixel of full resolution: its part of an independent value, over two."""
 MAX_PEAKS: Final = 64
-"""Largest number of like peaks that are registered: those of a grid of 25 um; chosen, it bounds the cost."""
+"""Largest number of like peaks that are registered: those of a grid of 25 um; chosen, it bounds the cost. Where there
+are more at both resolutions, no shift is accepted: the true one may not be among those that are compared."""
 LIKE: Final = 0.3
 """Part of the highest peak, nats, from which another one may be as high at full resolution; chosen: without periodic
 structure others have a tenth."""
@@ -116,11 +117,10 @@ class ShiftSearch(MaskedCorrelation):
         high = score > _HIDDEN * share * max(score.flat[best], 0)
         cells = np.append(best, np.flatnonzero((score >= highest_near) & high))
         rows, cols = np.unravel_index(cells, score.shape)
-        size = len(score)
         middle = alike[rows, cols]
         between = middle.copy()
         for row, col in ((1, 0), (0, 1)):  # between the shifts that were searched, by parabolas
-            left, right = alike[rows - row, cols - col], alike[(rows + row) % size, (cols + col) % size]
+            left, right = alike[rows - row, cols - col], alike[(rows + row) % len(score), (cols + col) % len(score)]
             bend = np.maximum(2 * middle - left - right, np.float32(1e-6))
             between += np.where((middle >= left) & (middle >= right), (right - left) ** 2 / (8 * bend), 0)
         nats = prior[rows, cols] + self._nats(between, self.overlap[rows, cols])
