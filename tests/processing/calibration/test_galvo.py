@@ -200,7 +200,7 @@ def test_what_is_no_sweep_is_refused() -> None:
         fit_galvo(1e-300 * volts, lines)
     with pytest.raises(MeasurementError, match=r"moves 0\.0 rows"):
         fit_galvo(volts, [line(100.0)] * 200)
-    with pytest.raises(MeasurementError, match=r"rows beside a straight path, in \d+ % of the frames"):
+    with pytest.raises(MeasurementError, match="rows beside a line in most frames"):
         fit_galvo(random.permutation(volts), lines)
 
 

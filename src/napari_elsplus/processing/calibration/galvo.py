@@ -204,8 +204,7 @@ def fit_galvo(
             f"the {len(whole)} frames with a line have {different} different voltages, {MIN_LINES} are needed",
             "sweep more voltages",
         )
-    radius_px = (longest if diameter_px is None else diameter_px) / 2
-    bow = _common_bow(v, [line for _, line in whole], column, radius_px)
+    bow = _common_bow(v, [line for _, line in whole], column, (diameter_px or longest) / 2)
     rows = np.array([line.row_at(column) for _, line in whole]) + bow.rows * bow.share
     from scipy.stats import theilslopes  # 1 s to import, so only where a sweep is fitted
 
@@ -219,16 +218,14 @@ def fit_galvo(
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
-            f"the line moves {travel:.1f} rows over the sweep, {scatter:.2g} rows beside a straight path, in"
-            f" {100 * (1 - used.mean()):.0f} % of the frames by more than {OUTLIER_SIGMAS:g} times that",
+            f"the line moves {travel:.1f} rows over the sweep, {scatter:.2g} rows beside a line in most frames",
             "do the voltages belong to these frames, and does the galvo move?",
         )
     require_steady(rows[used], _polynomial(_place(v))[used], frames[used])
     drawn_rows, by_light = _drawn_by_light(v, [line for _, line in whole], used)
-    rows = rows - drawn_rows
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
-    return _fit(v, rows, used, tilt_deg, bow, by_light, column, len(lines) - len(whole), each_rows)
+    return _fit(v, rows - drawn_rows, used, tilt_deg, bow, by_light, column, len(lines) - len(whole), each_rows)
 
 
 @dataclass(frozen=True, slots=True)

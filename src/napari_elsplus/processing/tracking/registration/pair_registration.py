@@ -281,7 +281,6 @@ class Registrar:
         """Register two frames from every shift that may be the most likely one; the odds know of the others."""
         halves, known = self._halves(earlier, later), (motion.warp, motion.terms, self._tools.sums)
         starts = self._searched(earlier, later, motion)
-        at_most = inf if len(starts) <= 2 * MAX_PEAKS else 0.0  # others, which are not among them, fit as well
         links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
         found = [link for link in links if link.correlation > 0] or links[:1]
         best = found[0]
@@ -293,7 +292,7 @@ class Registrar:
             for link in found
             if hypot(link.warp.b - best.warp.b, link.warp.d - best.warp.d) > _APART_PX
         )
-        return best._replace(odds=min([best.odds, at_most, *others]))
+        return best._replace(odds=min([best.odds, 0.0 if len(starts) > 2 * MAX_PEAKS else inf, *others]))
 
     def _searched(self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior) -> list[Warp]:
         """Return the expected warp at the most likely of all shifts, and at those that may be as likely."""
