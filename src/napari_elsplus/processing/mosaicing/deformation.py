@@ -311,7 +311,7 @@ def estimate_deformation(
     if sum(deformation.gain(*found) for found in compared if found is not None) <= 0:
         return None
     along = [(a, b) for a, b in pairwise(tracked) if poses[a].segment == poses[b].segment]
-    again = _revisits(poses, tracked, grid.diameter)
+    again = revisits(poses, tracked, grid.diameter)
     for whole in ROUNDS:
         deformation.solve(held, poses, along + again if whole else along)
     return deformation
@@ -328,8 +328,18 @@ def _tested_pairs(poses: Sequence[Pose], tracked: Sequence[int], diameter: float
     return pairs
 
 
-def _revisits(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
-    """Return pairs of `tracked` frames that show the same place far apart along the path: the nearest to every few."""
+def revisits(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
+    """Return pairs of `tracked` frames that show the same place far apart along the path: the nearest to every few.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        Of all frames.
+    tracked : sequence of int
+        Indices of those that are tracked.
+    diameter : float
+        Of a frame, pixels.
+    """
     at, segments = np.array([poses[k].at for k in tracked]), np.array([poses[k].segment for k in tracked])
     gone, pairs = np.cumsum(abs(np.diff(at, prepend=at[0]))), []
     for k in range(0, len(tracked), _EVERY):

@@ -90,7 +90,8 @@ class FinePipeline(Pipeline):
         tracked.poses, tracked.rows = self.poses, self.rows
         tracked.settle(raw_pair)
         self.poses, self.rows = tracked.poses, tracked.rows
-        self.line_light, self.deformation = tracked.line_light, tracked.deformation
+        self.line_light, self.frame_gains = tracked.line_light, tracked.frame_gains
+        self.deformation = tracked.deformation
         self._draw(lambda index: self._corrected(self._fine_image(*raw_pair(index)), index), progress)
 
     def _fine_image(self, raw: NDArray[Any], raw_residual: NDArray[Any] | None = None) -> Image:
@@ -111,7 +112,7 @@ class FinePipeline(Pipeline):
         return self._enlarged[1]
 
     def _corrected(self, image: Image, index: int) -> Image:
-        lit = image if self._light is None else image / self._light
+        lit = self._lit(image, index)
         if self.deformation is not self._moved[0]:
             self._moved = self.deformation, None if self.deformation is None else self.deformation.on(self._drawn)
         return lit if self._moved[1] is None else self._moved[1].undone(index, lit)
