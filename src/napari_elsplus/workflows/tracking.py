@@ -14,7 +14,7 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.clarity import Clarity
 from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
-from napari_elsplus.processing.mosaicing.frame_gains import estimate_frame_gains
+from napari_elsplus.processing.mosaicing.exposure import estimate_frame_gains
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
@@ -222,15 +222,7 @@ class Pipeline:
                 self.rows[index] = self._row(lost, self.rows[index].frame, self.rows[index].time_s)
 
     def relocate(self, segment: NDArray[np.int64], row: NDArray[np.float64], col: NDArray[np.float64]) -> None:
-        """Set the position of every frame of the track.
-
-        Parameters
-        ----------
-        segment : numpy.ndarray
-            (n,) segment numbers.
-        row, col : numpy.ndarray
-            (n,) positions, pixels of the mosaic.
-        """
+        """Set segment (n,) and position (n,) of every frame of the track, `row` and `col` in pixels of the mosaic."""
         scale, um = self._scales
         where = zip(segment.tolist(), (row * scale).tolist(), (col * scale).tolist(), strict=True)
         self.rows = [
@@ -261,12 +253,7 @@ class Pipeline:
     def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
         """Refine all positions, and insert all frames into fresh mosaics, freed of uneven light and of deformation.
 
-        Parameters
-        ----------
-        raw_pair : callable
-            As in :meth:`refine`.
-        progress : callable
-            Wraps the indices of the frames that are inserted; a progress bar, for instance.
+        Parameters are `raw_pair`, as in :meth:`refine`, and `progress`, which wraps the indices of the frames.
         """
         self._draw(self.settle(raw_pair), progress)
 

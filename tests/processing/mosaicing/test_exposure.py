@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from napari_elsplus.processing.mosaicing.frame_gains import estimate_frame_gains
+from napari_elsplus.processing.mosaicing.exposure import estimate_frame_gains
 from napari_elsplus.processing.mosaicing.mosaic import STILL
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
