@@ -48,6 +48,22 @@ def test_a_plate_that_stays_is_not_noted_as_displaced(lost: float) -> None:
         assert each.ls_10db.uncertainty_um < 6
 
 
+@pytest.mark.parametrize("law", ["even", "second order"])
+def test_what_is_stated_contains_that_the_law_by_which_light_falls_is_unknown(law: str) -> None:
+    time, lost, pulls = np.linspace(0, 1, len(DEPTH_UM)), 0.3, []
+    light = 1 - lost * time if law == "even" else 1 / (1 + time * lost / (1 - lost))
+    for seed in range(20):
+        power = light * np.random.default_rng(9600 + seed).normal(1, 0.003, len(time))
+        ls, els = power / (1 + DEPTH_UM / 60), 0.8 * power / (1 + np.square(DEPTH_UM / 30))
+        found = axial_response(DEPTH_UM, ls, ls - els)
+        assert found.loss is not None
+        assert found.loss.share == pytest.approx(lost, abs=0.03)
+        drops = {name: getattr(found, name) for name in TRUTH}
+        pulls.append([(drops[name].um - truth) / drops[name].uncertainty_um for name, truth in TRUTH.items()])
+    assert np.sqrt(np.square(pulls).mean()) < 1.4
+    assert np.abs(pulls).max() < 4
+
+
 def test_frames_too_dim_in_els_state_a_loss_by_ls_alone() -> None:
     ls = 0.99 ** np.arange(20) / (1 + np.r_[np.arange(10), np.arange(10)[::-1]] / 5)
     els = np.r_[1.0, np.zeros(19)]

@@ -296,9 +296,14 @@ def axial_response(
         )
     kept = els_fall.contact / ls_fall.contact
     rate = -log(1 - ASSUMED_LOSS) / (len(depths) - 1) if loss is None else loss.error
-    brighter = _means(depths, signals, gains * np.exp(rate * np.arange(len(depths))))
-    drops, others = (_drops(each) for each in ((ls_fall, els_fall), _falls(brighter, contact, zeros, correlated_dn)))
-    changes = [float(np.nan_to_num(abs(other.um - drop.um))) for drop, other in zip(drops, others, strict=True)]
+    drops, other_gains = _drops((ls_fall, els_fall)), [gains * np.exp(rate * np.arange(len(depths)))]
+    if loss is not None:
+        other_gains.append(loss.gains(1.0))
+    others = [_drops(_falls(_means(depths, signals, each), contact, zeros, correlated_dn)) for each in other_gains]
+    changes = [
+        hypot(*(float(np.nan_to_num(other.um - drop.um)) for other in each))
+        for drop, *each in zip(drops, *others, strict=True)
+    ]
     if loss is not None:
         drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
     depth = of_ls.depth

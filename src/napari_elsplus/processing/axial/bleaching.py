@@ -38,6 +38,8 @@ class LightLoss(NamedTuple):
         One standard deviation of the rate by the scatter of repeated frames.
     frames : int
         Frames of the scan.
+    law_sigma : float
+        One standard deviation of the law by which the light falls: 0 is an exponential, 1 by as much in every frame.
     by_distance : float
         Part of the rate that a plate whose distance differs between frames of one depth explains, magnitude.
     """
@@ -45,6 +47,7 @@ class LightLoss(NamedTuple):
     per_frame: float
     scatter: float
     frames: int
+    law_sigma: float = 0.0
     by_distance: float = 0.0
 
     @property
@@ -83,9 +86,16 @@ class LightLoss(NamedTuple):
     def _corrected(self) -> float:
         return self.per_frame if self.significant else 0.0
 
-    def gains(self) -> Curve:
-        """Return the factors that make up for the loss, (frames,); ones if it is not significant."""
-        return np.asarray(np.exp(self._corrected * np.arange(self.frames)), np.float64)
+    def gains(self, sigmas: float = 0.0) -> Curve:
+        """Return the factors that make up for the loss, (frames,); ones if it is not significant.
+
+        Parameters
+        ----------
+        sigmas : float
+            Standard deviations by which the law departs from an exponential, towards the same in every frame.
+        """
+        falls = self._corrected * np.arange(self.frames, dtype=np.float64)
+        return np.asarray(np.exp(falls - sigmas * self.law_sigma * _bend(falls)), np.float64)
 
 
 def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
@@ -109,19 +119,43 @@ def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
     """
     depths, ls, els = (np.asarray(values, np.float64) for values in (depths_um, ls, els))
     bright = np.flatnonzero(ls > MIN_SIGNAL * ls.max(initial=0.0))
-    loss = _rate(depths, np.log(ls[bright]), bright)
-    if loss is None:
+    of_ls = _rate(depths, np.log(ls[bright]), bright)
+    if of_ls is None:
         return None
+    loss = LightLoss(*of_ls, len(depths), _law_sigma(of_ls[0], depths, np.log(ls[bright]), bright))
     both = np.flatnonzero((ls > MIN_SIGNAL * ls.max()) & (els > MIN_SIGNAL * els.max()))
     kept = np.log(els[both] / ls[both])
     of_kept = _rate(depths, kept, both)
     if of_kept is None:
-        return LightLoss(*loss, len(depths))
+        return loss
     # By how much LS falls with depth where the share kept falls by a given part: the same for a displaced plate.
     fall = kept - kept.mean()
     ls_per_kept = float(fall @ np.log(ls[both]) / max(fall @ fall, np.finfo(float).tiny))
     beyond_scatter = float(np.sqrt(max(of_kept[0] ** 2 - of_kept[1] ** 2, 0.0)))
-    return LightLoss(*loss, len(depths), abs(ls_per_kept) * beyond_scatter)
+    return loss._replace(by_distance=abs(ls_per_kept) * beyond_scatter)
+
+
+def _bend(falls: Curve) -> Curve:
+    """Return how much brighter frames (T,) are where each takes as much light than where it falls as an exponential.
+
+    Both as logarithms; `falls` is by how much it has fallen as an exponential, and both fall by as much in all.
+    """
+    return np.asarray(falls + np.log1p(np.expm1(-falls[-1]) * np.linspace(0, 1, len(falls))), np.float64)
+
+
+def _law_sigma(rate: float, depths: Curve, level: Curve, frames: NDArray[np.intp]) -> float:
+    """Return the standard deviation of the law by which the logarithm of LS falls, which is 1 beforehand.
+
+    A scan there and back shows how light falls up to what is alike before and after its turn, thus nothing of the law.
+    """
+    _, place = np.unique(depths[frames], return_inverse=True)
+    time = np.linspace(-1, 1, len(depths))
+    terms = np.stack([time, time**3, _bend(rate * np.arange(len(depths), dtype=np.float64))], axis=1)[frames]
+    *odd, bent, fallen = (_from_mean_of_group(each, place) for each in (*terms.T, level))
+    turned = np.stack(odd, axis=1)
+    seen, left = (each - turned @ np.linalg.lstsq(turned, each, rcond=None)[0] for each in (bent, fallen))
+    noise = max(float(left @ left), np.finfo(float).tiny) / max(len(frames) - int(place.max()) - 3, 1)
+    return float((1 + seen @ seen / noise) ** -0.5)
 
 
 def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float, float] | None:
@@ -135,14 +169,14 @@ def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float,
     freedom = len(frame) - len(np.unique(place)) - 1
     if freedom < MIN_FREEDOM:
         return None
-    elapsed, fallen = (values - _mean_of_group(values, place) for values in (frame, level))
+    elapsed, fallen = (_from_mean_of_group(values, place) for values in (frame, level))
     spread = float(elapsed @ elapsed)
     rate = -float(elapsed @ fallen) / spread
     left = fallen + rate * elapsed
     return rate, float(np.sqrt(left @ left / freedom / spread))
 
 
-def _mean_of_group(values: Curve, group: NDArray[np.intp]) -> Curve:
-    """Return the mean of each value's group, (values,)."""
+def _from_mean_of_group(values: Curve, group: NDArray[np.intp]) -> Curve:
+    """Return how far each value is from the mean of its group, (values,)."""
     total, count = np.bincount(group, values), np.bincount(group)
-    return np.asarray((total / np.maximum(count, 1))[group], np.float64)
+    return np.asarray(values - (total / np.maximum(count, 1))[group], np.float64)
