@@ -162,7 +162,7 @@ def test_a_failed_step_keeps_what_was_known_and_says_why_in_one_line(live, qtbot
     known = live.draft
     for step, wrong, words in (
         ("offset", Target.DARK_TUBE, "no voltage from"),
-        ("pair", Target.DARK_TUBE, "two bundle images expected"),
+        ("pair", Target.DARK_TUBE, "is the probe lit from the far end"),
     ):
         monkeypatch.setitem(REGISTERED, step, replace(find_step(step), target=wrong))
         measure(qtbot, live, step)
