@@ -169,7 +169,7 @@ class TrackedStack:
         self._followers = {mode: self._pipeline(mode) for mode in self._followers}
         for follower in self._followers.values():
             follower.line_light, follower.deformation = self.lead.line_light, self.lead.deformation
-            follower.frame_gains = self.lead.frame_gains
+            follower.fading = self.lead.fading
         if self._followers:
             for index in progress(range(len(self._pairs))):
                 self._follow(index)

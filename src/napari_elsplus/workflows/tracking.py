@@ -14,7 +14,7 @@ from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.clarity import Clarity
 from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
-from napari_elsplus.processing.mosaicing.exposure import estimate_frame_gains
+from napari_elsplus.processing.mosaicing.exposure import estimate_fading
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
@@ -72,8 +72,8 @@ class Pipeline:
     line_light : LineLight or None
         Light of the laser line, as :meth:`finish` estimates it, but for ELSA; taken out of raw frames that are
         inserted from then on where it is uneven.
-    frame_gains : dict of int to float
-        Factors by which frames that are inserted are multiplied, by their index, as :meth:`finish` estimates them.
+    fading : float or None
+        By how much the logarithm of the light falls from frame to frame, as :meth:`finish` estimates it; made up for.
     deformation : Deformation or None
         Deformation of the tissue in each frame, as :meth:`finish` estimates it; taken out in the same way.
 
@@ -114,7 +114,7 @@ class Pipeline:
         self.poses: list[Pose] = []
         self.mosaics: dict[int, TiledCanvas] = {}
         self.line_light: LineLight | None = None
-        self.frame_gains: dict[int, float] = {}
+        self.fading: float | None = None
         self.deformation: Deformation | None = None
 
     @property
@@ -273,13 +273,13 @@ class Pipeline:
         self.refine(raw_pair)
         self.deformation = None
         self._estimate_light(raw_pair)
-        self.frame_gains = {}
+        self.fading = None
 
         def image(index: int) -> NDArray[np.float32]:
             return self._corrected(self.tracking.image(*raw_pair(index)), index)
 
         if self._tapers_rim:
-            self.frame_gains = estimate_frame_gains(image, self.poses, self.grid) or {}
+            self.fading = estimate_fading(image, self.poses, self.grid)
             self.deformation = estimate_deformation(image, self.poses, self.grid)
         return image
 
@@ -321,9 +321,9 @@ class Pipeline:
         return lit if self.deformation is None else self.deformation.undone(index, lit)
 
     def _lit(self, image: NDArray[np.float32], index: int) -> NDArray[np.float32]:
-        """Return the image (side, side) of a frame freed of uneven light of the laser line, and scaled by its gain."""
+        """Return the image (side, side) of a frame freed of uneven light of the laser line and of fading."""
         lit = image if self._light is None else image / self._light
-        return lit * np.float32(self.frame_gains[index]) if index in self.frame_gains else lit
+        return lit if self.fading is None else lit * np.float32(np.exp(self.fading * index))
 
     @property
     def _scales(self) -> tuple[float, float]:

@@ -1,9 +1,9 @@
 """Exposure compensation: frames are scaled to the brightness of what they overlap, so that light leaves no seams.
 
 The gain is the ratio of the mean grey levels in the overlap. Noise biases a regression but not this ratio, so that
-brightness does not fade along a path of many frames. Of a finished recording the gains of all frames are solved for at
-once, over frames that follow one another and those that show a place again, which bounds the drift along the path: of
-tissue that bleaches, early and late frames lie side by side.
+brightness does not fade along a path of many frames. Of a finished recording of tissue that bleaches, early and late
+frames lie side by side: the rate at which its light falls is found from all pairs of frames that overlap. Gains of each
+frame would take light that rises across the frames, or haze at one rim, for light that falls along the path.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.mosaicing.deformation import revisits
@@ -43,14 +41,14 @@ MIN_SHARED: Final = 0.2
 """Part of the field that two frames have in common, from which they are compared; chosen."""
 NEIGHBOURS: Final = (1, 3)
 """How many frames on a frame is compared; chosen: two chains show each other's scatter."""
-MIN_DEPARTURE: Final = 0.05
-"""Standard deviation of the logarithms of the gains from which they are made up for; chosen: less is hardly visible."""
+MIN_FADING: Final = 0.2
+"""Fall of the logarithm of the light in a recording from which it is made up for; chosen: less is hardly visible."""
 MIN_SIGMAS: Final = 6.0
 """Of that over its uncertainty; chosen."""
 _REDUCED: Final = 2
 """Pixels of a frame, in either direction, that are compared as one; chosen, as only means count."""
-_OUTLIER_SIGMAS, _ROUNDS = 3.0, 4
-"""Scale of Cauchy's weights, in robust standard deviations, and how often they are renewed; chosen."""
+_OUTLIER_SIGMAS, _ROUNDS, _MIN_PAIRS = 3.0, 4, 10
+"""Scale of Cauchy's weights in standard deviations, how often they are renewed, and pairs that are needed; chosen."""
 
 
 def exposure_gain(canvas: float, frame: float, weight: float, frame_weight: float) -> float:
@@ -130,10 +128,8 @@ def overlap_sums(
     return canvas, frame, both
 
 
-def estimate_frame_gains(
-    image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid
-) -> dict[int, float] | None:
-    """Return the factors that bring tracked frames to the light of the first of their segment; None of even light.
+def estimate_fading(image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid) -> float | None:
+    """Return by how much the logarithm of the light falls from frame to frame; None where that is not significant.
 
     Parameters
     ----------
@@ -145,30 +141,44 @@ def estimate_frame_gains(
         The frames' grid.
     """
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
-    if len(tracked) <= max(NEIGHBOURS):
-        return None
     along = [(a, b) for step in NEIGHBOURS for a, b in zip(tracked, tracked[step:], strict=False)]
     pairs = [(a, b) for a, b in along if poses[a].segment == poses[b].segment] + revisits(poses, tracked, grid.diameter)
     small = (-(-grid.side // _REDUCED),) * 2
     lit = cv2.resize(lit_pixels(*grid.spans()).astype(np.float32), small, interpolation=cv2.INTER_AREA) >= 1
     images = {k: cv2.resize(image(k), small, interpolation=cv2.INTER_AREA) for k in tracked}
-    edges, ratios = [], []
+    terms, ratios = [], []
     for a, b in pairs:
         apart = (poses[b].at - poses[a].at) * small[0] / grid.side
         here, there = _shared(lit, images[a], images[b], round(apart.real), round(apart.imag))
         if here.size > MIN_SHARED * lit.sum() and min(here.mean(), there.mean()) > 0:
-            edges.append((a, b))
+            terms.append((float(b - a), apart.real, apart.imag))
             ratios.append(float(np.log(here.mean(dtype=np.float64) / there.mean(dtype=np.float64))))
-    number = {k: place for place, k in enumerate(tracked)}
-    solved = _solved([(number[a], number[b]) for a, b in edges], np.array(ratios), len(tracked))
-    if solved is None:
+    if len(ratios) < _MIN_PAIRS:
         return None
-    light, sigma = solved
-    first = {poses[k].segment: number[k] for k in reversed(tracked)}
-    gains = np.array([light[number[k]] - light[first[poses[k].segment]] for k in tracked])
-    if gains.std() < max(MIN_DEPARTURE, MIN_SIGMAS * sigma):
-        return None
-    return dict(zip(tracked, np.exp(gains).tolist(), strict=True))
+    rate, sigma = _rate(np.array(terms), np.array(ratios))
+    fallen = abs(rate) * (tracked[-1] - tracked[0])
+    return rate if fallen > MIN_FADING and abs(rate) > MIN_SIGMAS * sigma else None
+
+
+def _rate(terms: Floats, ratios: Floats) -> tuple[float, float]:
+    """Return the fall of the light per frame, and its standard deviation, by robust least squares.
+
+    Parameters
+    ----------
+    terms : numpy.ndarray
+        (pairs, 3): frames from the first one of a pair to the second, and pixels down and across. Ratios are in
+        proportion to these where light rises across the frames.
+    ratios : numpy.ndarray
+        (pairs,) logarithms of the light of the first one over that of the second.
+    """
+    weights, noise, rates, normal = np.ones(len(ratios)), 0.0, np.zeros(3), np.eye(3)
+    for _ in range(_ROUNDS):
+        normal = terms.T @ (weights[:, None] * terms) + 1e-9 * np.eye(3)
+        rates = np.asarray(np.linalg.solve(normal, terms.T @ (weights * ratios)), np.float64)
+        left = ratios - terms @ rates
+        noise = float(np.sqrt(weights @ left**2 / weights.sum()))
+        weights = 1 / (1 + np.square(left / max(_OUTLIER_SIGMAS * noise, 1e-9)))
+    return float(rates[0]), noise * float(np.sqrt(np.linalg.inv(normal)[0, 0]))
 
 
 def _shared(
@@ -182,34 +192,3 @@ def _shared(
     there = np.s_[max(0, -down) : rows - max(0, down), max(0, -across) : cols - max(0, across)]
     both = lit[here] & lit[there]
     return one[here][both], other[there][both]
-
-
-def _solved(edges: list[tuple[int, int]], ratios: Floats, count: int) -> tuple[Floats, float] | None:
-    """Return the logarithms of the gains, (count,), and their standard deviation, root mean square; None without edges.
-
-    Parameters
-    ----------
-    edges : list of tuple of int
-        Two frames each.
-    ratios : numpy.ndarray
-        Of each edge, logarithm of the light of the first over that of the second: gain of the second less the first's.
-    count : int
-        Of the frames.
-    """
-    if len(edges) <= count:
-        return None
-    first, second = np.transpose(edges)
-    rows = np.arange(len(edges))
-    design = sparse.csr_array((np.ones(len(edges)), (rows, second)), (len(edges), count))
-    design = design - sparse.csr_array((np.ones(len(edges)), (rows, first)), (len(edges), count))
-    weights, gains, noise = np.ones(len(edges)), np.zeros(count), 0.0
-    for _ in range(_ROUNDS):
-        normal = design.T @ sparse.diags_array(weights) @ design + 1e-6 * sparse.eye_array(count)
-        solver = splu(normal.tocsc())
-        gains = solver.solve(design.T @ (weights * ratios))
-        left = ratios - design @ gains
-        noise = float(np.sqrt(weights @ left**2 / max(len(edges) - count, 1)))
-        weights = 1 / (1 + np.square(left / max(_OUTLIER_SIGMAS * noise, 1e-9)))
-    ends = np.zeros(count)
-    ends[[0, -1]] = -1, 1
-    return np.asarray(gains, np.float64), noise * float(np.sqrt(max(ends @ solver.solve(ends), 0.0)))

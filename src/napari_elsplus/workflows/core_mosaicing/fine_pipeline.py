@@ -90,7 +90,7 @@ class FinePipeline(Pipeline):
         tracked.poses, tracked.rows = self.poses, self.rows
         tracked.settle(raw_pair)
         self.poses, self.rows = tracked.poses, tracked.rows
-        self.line_light, self.frame_gains = tracked.line_light, tracked.frame_gains
+        self.line_light, self.fading = tracked.line_light, tracked.fading
         self.deformation = tracked.deformation
         self._draw(lambda index: self._corrected(self._fine_image(*raw_pair(index)), index), progress)
 
