@@ -21,7 +21,7 @@ from qtpy.QtWidgets import (
 if TYPE_CHECKING:
     from qtpy.QtGui import QShowEvent
 
-MIN_HEIGHT_PX: Final = 280
+MIN_HEIGHT_PX: Final = 260
 """Smallest height of a panel, pixels; chosen: with title, tabs and status line the dock needs about 400."""
 MAX_MIN_WIDTH_PX: Final = 525
 """Largest width that the dock demands, pixels; measured: with a font of 13 points napari's own docks and the smallest
