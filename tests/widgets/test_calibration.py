@@ -336,7 +336,7 @@ FAULTS = (
     ("laser off", "galvo", "is the laser on"),
     ("right view blocked", "offset", "residual view: no laser line"),
     ("right view blocked", "pair", "two bundle images expected, 1 found"),
-    ("laser off", "pair", "is the probe lit from the far end?"),
+    ("laser off", "pair", "is the probe lit from the far end"),
     ("unplugged", "galvo", "the camera was unplugged"),
 )
 
