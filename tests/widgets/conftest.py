@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from napari.utils.notifications import notification_manager
 from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from qtpy.QtGui import QDragEnterEvent, QDropEvent
+from qtpy.QtGui import QDragEnterEvent, QDropEvent, QWheelEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.engine.status import Settings
@@ -100,6 +100,21 @@ def drop():
         QApplication.sendEvent(widget, QDropEvent(QPointF(5, 5), *with_the_mouse))
 
     return onto
+
+
+@pytest.fixture
+def turn_wheel():
+    """Turn the wheel towards the user over the middle of a widget, by eighths of a degree."""
+
+    def over(widget, eighths=120):
+        at = QPointF(widget.rect().center())
+        event = QWheelEvent(
+            at, QPointF(widget.mapToGlobal(at.toPoint())), QPoint(), QPoint(0, -eighths), Qt.MouseButton.NoButton,
+            Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+        )  # fmt: skip
+        QApplication.sendEvent(widget, event)
+
+    return over
 
 
 @pytest.fixture

@@ -251,14 +251,14 @@ class Pipeline:
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
 
     def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
-        """Refine all positions, and insert all frames into fresh mosaics, freed of uneven light and of deformation.
+        """Refine all positions, and insert all frames into fresh mosaics, without uneven light, fading and deformation.
 
         Parameters are `raw_pair`, as in :meth:`refine`, and `progress`, which wraps the indices of the frames.
         """
         self._draw(self.settle(raw_pair), progress)
 
     def settle(self, raw_pair: RawPair) -> Callable[[int], NDArray[np.float32]]:
-        """Refine all positions (:meth:`refine`), and estimate the light of the laser line and the tissue's deformation.
+        """Refine all positions (:meth:`refine`); estimate the laser line's light, fading, and the tissue's deformation.
 
         Parameters
         ----------
@@ -268,7 +268,7 @@ class Pipeline:
         Returns
         -------
         callable
-            Returns the image of a frame (side, side), freed of both, by its index.
+            Returns the image of a frame (side, side), freed of all three, by its index.
         """
         self.refine(raw_pair)
         self.deformation = None
@@ -316,7 +316,7 @@ class Pipeline:
         return self.line_light.relative if self.line_light is not None and self.line_light.uneven else None
 
     def _corrected(self, image: NDArray[np.float32], index: int) -> NDArray[np.float32]:
-        """Return the image (side, side) of a frame freed of uneven light of the laser line and of deformation."""
+        """Return the image (side, side) of a frame freed of uneven light of the laser line, fading and deformation."""
         lit = self._lit(image, index)
         return lit if self.deformation is None else self.deformation.undone(index, lit)
 

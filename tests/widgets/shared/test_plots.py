@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from qtpy.QtCore import QPoint, QPointF, Qt
-from qtpy.QtGui import QPainter, QPicture, QWheelEvent
-from qtpy.QtWidgets import QApplication
+from qtpy.QtGui import QPainter, QPicture
 
 from napari_elsplus.widgets.shared.plots import Band, Curve, ThemedPlot
 
@@ -104,16 +102,10 @@ def test_at_its_least_height_neither_legend_nor_tick_labels_are_cut(plot, qtbot,
         assert all(plot.sceneRect().contains(label) for label in labels), side
 
 
-def test_the_wheel_does_not_zoom(plot, qtbot):
+def test_the_wheel_does_not_zoom(plot, qtbot, turn_wheel):
     """Before: scrolling the panel over a plot zoomed it, and nothing led back."""
     plot.show()
     qtbot.waitExposed(plot)
     shown = plot.viewRange()
-    port = plot.viewport()
-    at = QPointF(port.rect().center())
-    event = QWheelEvent(
-        at, QPointF(port.mapToGlobal(at.toPoint())), QPoint(), QPoint(0, -240), Qt.MouseButton.NoButton,
-        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
-    )  # fmt: skip
-    QApplication.sendEvent(port, event)
+    turn_wheel(plot.viewport(), 240)
     assert plot.viewRange() == shown

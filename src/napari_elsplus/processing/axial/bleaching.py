@@ -119,10 +119,11 @@ def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
     """
     depths, ls, els = (np.asarray(values, np.float64) for values in (depths_um, ls, els))
     bright = np.flatnonzero(ls > MIN_SIGNAL * ls.max(initial=0.0))
-    of_ls = _rate(depths, np.log(ls[bright]), bright)
+    level = np.log(ls[bright])
+    of_ls = _rate(depths, level, bright)
     if of_ls is None:
         return None
-    loss = LightLoss(*of_ls, len(depths), _law_sigma(of_ls[0], depths, np.log(ls[bright]), bright))
+    loss = LightLoss(*of_ls, len(depths), _law_sigma(of_ls[0], depths, level, bright))
     both = np.flatnonzero((ls > MIN_SIGNAL * ls.max()) & (els > MIN_SIGNAL * els.max()))
     kept = np.log(els[both] / ls[both])
     of_kept = _rate(depths, kept, both)

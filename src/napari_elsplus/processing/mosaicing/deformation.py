@@ -73,7 +73,7 @@ _MARGIN: Final = 0.96
 """Part of the field that is compared, within which slopes exist."""
 _TOLERANCE: Final = 1e-3
 """Relative residual of the equations of a step; chosen: the next step starts from what is left."""
-_MAX_HELD: Final = 64
+MAX_HELD: Final = 64
 """Images that are held; chosen, others are made again."""
 
 _AROUND: Final = np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])[:, :, None]
@@ -303,7 +303,7 @@ def estimate_deformation(
     tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
     tested, deformation = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid)
 
-    @lru_cache(_MAX_HELD)
+    @lru_cache(MAX_HELD)
     def held(index: int) -> NDArray[np.float32]:
         return image(index).copy()
 

@@ -8,13 +8,15 @@ frame would take light that rises across the frames, or haze at one rim, for lig
 
 from __future__ import annotations
 
+from functools import lru_cache
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
 from napari_elsplus.processing.compiled import kernel
-from napari_elsplus.processing.mosaicing.deformation import revisits
+from napari_elsplus.processing.mosaicing.deformation import MAX_HELD, revisits
 from napari_elsplus.processing.mosaicing.footprint import rows_on_tile
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
@@ -145,11 +147,15 @@ def estimate_fading(image: Callable[[int], NDArray[np.float32]], poses: Sequence
     pairs = [(a, b) for a, b in along if poses[a].segment == poses[b].segment] + revisits(poses, tracked, grid.diameter)
     small = (-(-grid.side // _REDUCED),) * 2
     lit = cv2.resize(lit_pixels(*grid.spans()).astype(np.float32), small, interpolation=cv2.INTER_AREA) >= 1
-    images = {k: cv2.resize(image(k), small, interpolation=cv2.INTER_AREA) for k in tracked}
+
+    @lru_cache(MAX_HELD)
+    def reduced(index: int) -> NDArray[np.float32]:
+        return np.asarray(cv2.resize(image(index), small, interpolation=cv2.INTER_AREA), np.float32)
+
     terms, ratios = [], []
-    for a, b in pairs:
+    for a, b in sorted(pairs, key=itemgetter(1)):  # so that most frames are made once
         apart = (poses[b].at - poses[a].at) * small[0] / grid.side
-        here, there = _shared(lit, images[a], images[b], round(apart.real), round(apart.imag))
+        here, there = _shared(lit, reduced(a), reduced(b), round(apart.real), round(apart.imag))
         if here.size > MIN_SHARED * lit.sum() and min(here.mean(), there.mean()) > 0:
             terms.append((float(b - a), apart.real, apart.imag))
             ratios.append(float(np.log(here.mean(dtype=np.float64) / there.mean(dtype=np.float64))))

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import pytest
 from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
-from qtpy.QtCore import QLocale, QPoint, QPointF, Qt
-from qtpy.QtGui import QWheelEvent
-from qtpy.QtWidgets import QApplication, QDoubleSpinBox, QLabel, QScrollArea, QSpinBox, QWidget
+from qtpy.QtCore import QLocale, Qt
+from qtpy.QtWidgets import QDoubleSpinBox, QLabel, QScrollArea, QSpinBox, QWidget
 
 from napari_elsplus.widgets.shared.panel import form_layout, panel_layout
 
 
-def turn_wheel(widget):
-    """Turn the wheel towards the user over the middle of a widget."""
-    at = QPointF(widget.rect().center())
-    event = QWheelEvent(
-        at, QPointF(widget.mapToGlobal(at.toPoint())), QPoint(), QPoint(0, -120), Qt.MouseButton.NoButton,
-        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
-    )  # fmt: skip
-    QApplication.sendEvent(widget, event)
-
-
 @pytest.mark.parametrize("focused", [False, True])
-def test_the_wheel_scrolls_over_fields_and_changes_none(qtbot, focused):
+def test_the_wheel_scrolls_over_fields_and_changes_none(qtbot, turn_wheel, focused):
     """Before: slit, rate, gain and preset of a live rig changed when the panel was scrolled over them."""
     panel = QWidget()
     qtbot.addWidget(panel)
