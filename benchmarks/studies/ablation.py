@@ -190,10 +190,6 @@ def changes() -> list[Change]:
         *constant("static variance, squared grey levels", odds, "_FLOOR_DN2", without="0.0"),
         *constant("static variance, of the brightest", odds, "_FLOOR_SHARE", without="0.0"),
         *constant("sharp without competitors, px", "registration/pyramid_descent", "SHARP_PX"),
-        *left_out(
-            "unrelated frames compete", "registration/pyramid_descent",
-            ("            nats = min(nats, _odds_against_unrelated(correlation, count))\n", ""),
-        ),
         *constant("fall of correlation", pair, "FALL_OF_CORRELATION", without="inf"),
         *constant("memory of the correlation", "tracker", "_MEMORY", without="1.0"),
         *constant("largest standard deviation, px", pair, "MAX_SIGMA_PX", without="inf"),

@@ -138,7 +138,9 @@ def register(
     if alike_enough and 2 * odds.weakest_direction(information)[0] < SHARP_PX:
         # noise is less than what does not move at the rim, which is left out
         correlation, count, warp = descend(earlier, later, _SHARP, True, expected, terms, warp, information, tools)
-        nats = _odds_against_unrelated(correlation, count)
+        # against unrelated frames, the only competitor of a shift that is so sharp
+        unexplained = max(1 - correlation * correlation, 1e-12)
+        nats = min(-0.5 * count / odds.CORRELATED_PX * np.log(unexplained), 700.0)
     elif alike_enough:
         # noise is more than that: all that is lit, without what is smooth
         pyramid.high_pass(earlier, tools.pyramid)
@@ -155,16 +157,9 @@ def register(
                         information[i, k] = whole[i, k]
             pair = pair_of(1, earlier, later, tools)
             nats = odds.log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
-            nats = min(nats, _odds_against_unrelated(correlation, count))
     overlap = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
     row, col, variance = later_velocity(prior, warp, information, tools.work)
     return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance, at_half
-
-
-@compilable
-def _odds_against_unrelated(correlation: float, count: float) -> float:
-    """Return the log odds of frames of that correlation in `count` pixels against unrelated ones, nats; at most 700."""
-    return float(min(-0.5 * count / odds.CORRELATED_PX * np.log(max(1 - correlation * correlation, 1e-12)), 700.0))
 
 
 @lean_kernel
