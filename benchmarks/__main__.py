@@ -20,17 +20,12 @@ from benchmarks.documents.pages import fill
 from benchmarks.documents.photographs import draw_photographs
 from benchmarks.harness.methods import Chart
 from benchmarks.harness.peers import PACKAGES, environment, install
-from benchmarks.harness.registry import MODULES, benchmark
+from benchmarks.harness.registry import MODULES, PROGRAMS, benchmark, program
 from benchmarks.harness.running import run
 from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
 from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import row_twins, study, survey
 from benchmarks.imperfect.cases import CASES
-from benchmarks.programs.acquire import acquire
-from benchmarks.programs.batch import batch
-from benchmarks.programs.long_process import process
-from benchmarks.programs.mutations import mutations
-from benchmarks.programs.start import start
 from benchmarks.studies import ablation, line_fit
 from napari_elsplus._program import run_program
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
@@ -61,13 +56,15 @@ PACKAGE = DOCS.parent / "src" / "napari_elsplus"
 
 
 class _Benchmarks(click.Group):
-    """The commands below, and one for each benchmark."""
+    """The commands below, one for each program, and one for each benchmark."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*super().list_commands(ctx), *MODULES]
+        return [*super().list_commands(ctx), *PROGRAMS, *MODULES]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return super().get_command(ctx, cmd_name) or (_measuring(cmd_name) if cmd_name in MODULES else None)
+        if cmd_name in PROGRAMS:
+            return program(cmd_name)
+        return _measuring(cmd_name) if cmd_name in MODULES else super().get_command(ctx, cmd_name)
 
 
 @click.command(cls=_Benchmarks, context_settings={"help_option_names": ["-h", "--help"]})
@@ -181,17 +178,6 @@ def ablation_command(words: tuple[str, ...], out: Path, quick: bool, folder: Pat
 
 
 @bench.command()
-@click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
-@click.option("--source", type=FILE, default=PACKAGE, show_default="this checkout's", help="Folder of the package.")
-@click.option("--title", default="napari_elsplus", show_default=True, help="Words above the picture.")
-@force_option
-def architecture(out: Path, source: Path, title: str, force: bool) -> None:
-    """Draw the folders of the package, layered by their imports."""
-    refuse_outputs(out, force=force)
-    save_figure(draw_architecture(read_rooms(source), title), out, force=force)
-
-
-@bench.command()
 @click.argument("stack", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The picture, .png or .svg.")
 @force_option
@@ -248,13 +234,6 @@ def docs(folder: Path, quick: bool, only: tuple[str, ...], photographs: Path | N
                 click.echo(f"{name}: {', '.join(put) or 'in no page'}")
             else:
                 click.echo(f"{name}: {_page(name, folder, quick, photographs)}")
-
-
-bench.add_command(batch)
-bench.add_command(acquire)
-bench.add_command(process)
-bench.add_command(mutations)
-bench.add_command(start)
 
 
 def _blocks(name: str, images: Path, quick: bool, report: Callable[[str], None]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Every benchmark by name; its module is loaded when it is asked for."""
+"""Every benchmark and program by name; its module is loaded when it is asked for."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 
 if TYPE_CHECKING:
+    import click
+
     from benchmarks.harness.methods import Benchmark
 
 MODULES: dict[str, str] = {  # the module, and its benchmark where that is not called BENCHMARK
@@ -36,6 +38,19 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
     "stability-pairs": "stability.pairs",
     "stability-tracking": "stability.tracking",
 }
+
+PROGRAMS = (
+    "acquire", "batch", "driver", "live-mosaic", "long-track", "lost-probe", "mosaic-size", "mutations", "opening",
+    "process", "rendering", "soak", "start",
+)  # fmt: skip
+"""Modules in the folder of programs, each with a command of its name."""
+
+
+def program(name: str) -> click.Command:
+    """Return the command of a program."""
+    attribute = name.replace("-", "_")
+    found: click.Command = getattr(import_module(f"benchmarks.programs.{attribute}"), attribute)
+    return found
 
 
 def benchmark(name: str) -> Benchmark:

@@ -12,6 +12,7 @@ from benchmarks.harness.verdict import verdict
 from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from benchmarks.harness.methods import Result
@@ -36,11 +37,22 @@ def write_csv(result: Result, path: Path, *, force: bool = False) -> None:
     """
     details = list(dict.fromkeys(name for row in result.rows for name in row.details))
     names = ("benchmark", "case", "group", "method", "role", *_NUMBERS, "parameters", "is_default", "is_peer")
+    rows = (
+        (*(_cell(row, name) for name in names), *(row.details.get(name, "") for name in details)) for row in result.rows
+    )
+    write_rows(path, (*names, *details), rows, force=force)
+
+
+def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]], *, force: bool = False) -> None:
+    """Write titles and rows as a spreadsheet.
+
+    Raises
+    ------
+    InputError
+        If the file exists and is not to be overwritten.
+    """
     with replacing(path, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*names, *details])
-        for row in result.rows:
-            writer.writerow([*(_cell(row, name) for name in names), *(row.details.get(name, "") for name in details)])
+        csv.writer(file).writerows((titles, *rows))
 
 
 def _cell(row: Row, name: str) -> Any:

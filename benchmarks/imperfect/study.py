@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 from matplotlib.figure import Figure
 
+from benchmarks.harness.table import write_rows
 from benchmarks.imperfect.cases import CASES, corrects
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -156,10 +156,7 @@ def write_outcomes(outcomes: list[Outcome], path: Path, *, force: bool = False) 
     InputError
         If the file exists and `force` is not given.
     """
-    with replacing(path, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows(outcome.cells() for outcome in outcomes)
+    write_rows(path, COLUMNS, (outcome.cells() for outcome in outcomes), force=force)
 
 
 def markdown(outcomes: list[Outcome]) -> str:

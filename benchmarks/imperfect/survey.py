@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from benchmarks.harness.table import write_rows
 from benchmarks.imperfect import measures
 from benchmarks.imperfect.measures import Error
 from benchmarks.imperfect.rig import ImperfectRig
 from napari_elsplus.errors import ElsPlusError, InputError
-from napari_elsplus.io import replacing
 from napari_elsplus.processing.axial.axial_notes import uncertainty_note
 from napari_elsplus.processing.calibration.steps import find_step
 
@@ -190,13 +190,12 @@ def write_survey(surveyed: list[Surveyed], path: Path, *, force: bool = False) -
     InputError
         If the file exists and `force` is not given.
     """
-    with replacing(path, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for one in surveyed:
-            errors = (value for name in NAMES for value in one.errors.get(name, Error(np.nan, np.nan)))
-            shares = (value for name in DISTANCES for value in one.shares.get(name, Error(np.nan, np.nan)))
-            writer.writerow([one.seed, *(f"{value:.6g}" for value in (*errors, *shares)), one.warning, one.refused])
+    rows = []
+    for one in surveyed:
+        errors = (value for name in NAMES for value in one.errors.get(name, Error(np.nan, np.nan)))
+        shares = (value for name in DISTANCES for value in one.shares.get(name, Error(np.nan, np.nan)))
+        rows.append((one.seed, *(f"{value:.6g}" for value in (*errors, *shares)), one.warning, one.refused))
+    write_rows(path, COLUMNS, rows, force=force)
 
 
 def read_survey(path: Path) -> list[Surveyed]:

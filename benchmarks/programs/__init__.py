@@ -1,1 +1,1 @@
-"""Programs that measure one thing each, by hand or by asv: ``python -m benchmarks.programs.NAME``."""
+"""Programs that measure one thing each, or try the tests: each is a command of ``python3 run.py bench``."""

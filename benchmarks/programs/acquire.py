@@ -7,7 +7,6 @@ the machine alone: a virtual one stops a core at times. Their delays while the r
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import subprocess
@@ -15,6 +14,7 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager, suppress
+from itertools import product
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 import numpy as np
 
+from benchmarks.harness.table import write_rows
 from benchmarks.programs.start import COMMAND_LINE, HERE
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
-from napari_elsplus.io.atomic import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -142,21 +142,17 @@ def acquire(out: Path, runs: int, seconds: float, images: bool, force: bool) -> 
     table = out / "acquire.csv"
     out.mkdir(parents=True, exist_ok=True)
     refuse_outputs(table, force=force)
-    with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(TITLES)
-        click.echo("  ".join(TITLES))
-        threads: list[dict[str, float]] = []
-        for busy in (False, True):
-            for run in range(runs):
-                with tempfile.TemporaryDirectory(dir=out) as folder:
-                    name = f"{'beside a busy core' if busy else 'alone'}, {run + 1}"
-                    result = _run(Path(folder), seconds, busy, images)
-                threads.append(result["cpu_us_per_frame"])
-                row = _row(name, result)
-                rows.writerow(row)
-                click.echo("  ".join(row))
-    names = sorted({name for run in threads for name in run})
-    medians = {name: float(np.median([run.get(name, 0.0) for run in threads])) for name in names}
+    rows: list[tuple[str, ...]] = []
+    threads: list[dict[str, float]] = []
+    click.echo("  ".join(TITLES))
+    for busy, run in product((False, True), range(runs)):
+        with tempfile.TemporaryDirectory(dir=out) as folder:
+            result = _run(Path(folder), seconds, busy, images)
+        threads.append(result["cpu_us_per_frame"])
+        rows.append(_row(f"{'beside a busy core' if busy else 'alone'}, {run + 1}", result))
+        click.echo("  ".join(rows[-1]))
+    write_rows(table, TITLES, rows, force=force)
+    names = sorted({name for spent in threads for name in spent})
+    medians = {name: float(np.median([spent.get(name, 0.0) for spent in threads])) for name in names}
     shown = (f"{name} {us:.0f}" for name, us in medians.items() if us >= SMALL_US)
     click.echo(f"microseconds a frame by thread, medians: {', '.join(shown)}")

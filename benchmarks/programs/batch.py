@@ -12,7 +12,6 @@ of the busier of two is the ratio that would be reached if each worker had a cor
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
 import os
 import shutil
@@ -30,12 +29,12 @@ import numpy as np
 import psutil
 import tifffile
 
+from benchmarks.harness.table import write_rows
 from benchmarks.programs.batch_share import plain_job
 from benchmarks.programs.start import COMMAND_LINE
 from napari_elsplus.cli import main
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.io import ImageMetadata, write_calibration, write_images
-from napari_elsplus.io.atomic import replacing
 from napari_elsplus.workflows.batch.job import RECORDS, open_output
 from napari_elsplus.workflows.simulated import simulate_recording
 
@@ -46,8 +45,6 @@ POLL_S: Final = 0.1
 CPU_POLL_S: Final = 0.5
 """Time between looks at the processes, which take milliseconds of a core; chosen, a small part of a run."""
 STAGES: Final = ("section", "mosaic")
-DISK_BYTES: Final = 1 << 30
-"""Bytes written to measure the disk; chosen: five files of images of 240 frames each."""
 KINDS: Final = {"batch": "workers", "plain": "plain processes"}
 
 
@@ -212,23 +209,6 @@ def run_plain(source: Path, output: Path, processes: int) -> Run:
     )
 
 
-def disk_mb_per_s(folder: Path) -> float:
-    """Return the rate at which a file is written into a folder and flushed to the disk, MB/s."""
-    block = np.random.default_rng(0).bytes(1 << 24)
-    begun_s = time.perf_counter()
-    with tempfile.TemporaryFile(dir=folder) as file:
-        for _ in range(DISK_BYTES // len(block)):
-            file.write(block)
-        file.flush()
-        os.fsync(file.fileno())
-        return DISK_BYTES / 1e6 / (time.perf_counter() - begun_s)
-
-
-def size_mb(folder: Path) -> float:
-    """Return the size of all files in a folder, MB."""
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
-
-
 def _cpu_s(process: psutil.Process) -> float:
     times = process.cpu_times()
     return float(times.user + times.system)
@@ -271,7 +251,6 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
     out.mkdir(parents=True, exist_ok=True)
     refuse_outputs(table, force=force)
     rows: list[tuple[str, int, Run]] = []
-    written_mb = 0.0
     with tempfile.TemporaryDirectory(dir=scratch) as made:
         source, output, single = (Path(made, name) for name in ("in", "out", "single"))
         paths = simulate(source, recordings, frames)
@@ -293,28 +272,26 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
             shutil.rmtree(single / path.stem)
         left = [*output.rglob(".????????.*"), *(output / RECORDS).glob("*.spans")]
         shutil.rmtree(output)
-        disk = disk_mb_per_s(Path(made))
         for _ in range(rounds):
             for workers in (1, 2):
                 timed = Path(made, "timed")
                 rows.append(("batch", workers, run_batch(source, Records(timed), workers)))
-                written_mb = size_mb(timed)
                 shutil.rmtree(timed)
                 rows.append(("plain", workers, run_plain(source, timed, workers)))
                 shutil.rmtree(timed)
-    with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(("run", "workers", "wall_s", "start_s", "end_s", "main_cpu_s", "worker_cpu_s", "peak_mb"))
-        for name, workers, run in rows:
-            cpu = " ".join(f"{seconds:.2f}" for seconds in run.worker_cpu_s)
-            parts = [f"{value:.2f}" for value in (run.wall_s, run.start_s, run.end_s, run.main_cpu_s)]
-            writer.writerow((name, workers, *parts, cpu, f"{run.peak_mb:.0f}"))
-            parts_s = (run.start_s, run.wall_s - run.start_s - run.end_s, run.end_s)
-            within = "" if np.isnan(run.start_s) else " (start {:.1f}, work {:.1f}, end {:.1f} s)".format(*parts_s)
-            click.echo(
-                f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s{within}, processor time {cpu} s "
-                f"and {run.main_cpu_s:.1f} s (all but workers), {run.peak_mb:.0f} MB a worker at most"
-            )
+    cells = []
+    for name, workers, run in rows:
+        cpu = " ".join(f"{seconds:.2f}" for seconds in run.worker_cpu_s)
+        parts = [f"{value:.2f}" for value in (run.wall_s, run.start_s, run.end_s, run.main_cpu_s)]
+        cells.append((name, workers, *parts, cpu, f"{run.peak_mb:.0f}"))
+        parts_s = (run.start_s, run.wall_s - run.start_s - run.end_s, run.end_s)
+        within = "" if np.isnan(run.start_s) else " (start {:.1f}, work {:.1f}, end {:.1f} s)".format(*parts_s)
+        click.echo(
+            f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s{within}, processor time {cpu} s "
+            f"and {run.main_cpu_s:.1f} s (all but workers), {run.peak_mb:.0f} MB a worker at most"
+        )
+    titles = ("run", "workers", "wall_s", "start_s", "end_s", "main_cpu_s", "worker_cpu_s", "peak_mb")
+    write_rows(table, titles, cells, force=force)
     click.echo(
         f"{records.stages} of {stages} stages finished, {len(records.twice)} of {kept} records written twice after "
         f"{kills} kills, {len(differing)} of {3 * recordings} files differ from single runs, {len(left)} unfinished "
@@ -325,14 +302,7 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
             ones, twos = ([run for of, by, run in rows if (of, by) == (kind, workers)] for workers in (1, 2))
             by_clock = median(one.wall_s / two.wall_s for one, two in zip(ones, twos, strict=True))
             by_cpu = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in zip(ones, twos, strict=True))
-            rate = written_mb / median(two.wall_s for two in twos)
-            click.echo(
-                f"two {name} against one: {by_clock:.2f} times by the clock, {by_cpu:.2f} times by processor time; "
-                f"two write {rate:.0f} MB/s"
-            )
-        click.echo(
-            f"{written_mb / 1000:.1f} GB of results; the disk takes {disk:.0f} MB/s; "
-            f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-        )
+            click.echo(f"two {name} against one: {by_clock:.2f} times by the clock, {by_cpu:.2f} by processor time")
+        click.echo(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     if records.twice or differing or left or records.stages != stages:
         raise SystemExit(1)

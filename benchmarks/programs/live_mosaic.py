@@ -1,13 +1,13 @@
 """The live mosaic in napari, on the simulated rig: frames lost, latency from camera to track, how often it is shown.
 
-By hand: ``python -m benchmarks.programs.live_mosaic [--seconds S]``, without a screen under ``xvfb-run -a``. It opens
-napari with the Mosaic panel, presses *Live mosaic* and looks on; with ``--live`` the Live panel shows LS and ELS+
-beside it.
+``python3 run.py bench live-mosaic``, without a screen under ``xvfb-run -a``. It opens napari with the Mosaic panel,
+presses *Live mosaic* and looks on; with ``--live`` the Live panel shows LS and ELS+ beside it.
 """
 
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import click
 import napari
@@ -17,12 +17,15 @@ from qtpy.QtWidgets import QApplication
 from benchmarks.harness.machine import machine
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 PLUGIN = "napari-elsplus"
 START_S = 240.0
 SETTLE_S = 3.0
 
 
-def go_on(until, seconds):
+def go_on(until: Callable[[], bool], seconds: float) -> bool:
     """Let napari work until something is so; whether it came to be."""
     end = time.perf_counter() + seconds
     while not until() and time.perf_counter() < end:
@@ -35,9 +38,8 @@ def go_on(until, seconds):
 @click.option("--seconds", default=60.0)
 @click.option("--live", is_flag=True, help="The Live panel beside it.")
 @click.option("--mode", "modes", multiple=True, default=("els",), help="Images that are laid; again for more.")
-@click.option("--picture", type=click.Path(), help="Save the window as it is at the end.")
-def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None) -> None:
-    """Lay a mosaic live."""
+def live_mosaic(seconds: float, live: bool, modes: tuple[str, ...]) -> None:
+    """Lay a mosaic live in a window: frames lost, lateness, and how often it is shown."""
     viewer = napari.Viewer()
     viewer.window.resize(1280, 900)
     if live:
@@ -45,11 +47,11 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
     _, panel = viewer.window.add_plugin_dock_widget(PLUGIN, "Mosaic", tabify=True)
     for mode, box in panel.form.modes.items():
         box.value = mode.value in modes
-    shown = []
+    shown: list[float] = []
     update = panel.layers.update
 
-    def counted(*, whole):
-        fresh = update(whole=whole)
+    def counted(*, whole: bool) -> bool:
+        fresh: bool = update(whole=whole)
         if fresh:
             shown.append(time.perf_counter())
         return fresh
@@ -67,8 +69,6 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
     gaps = np.diff(shown)
     counts = status.track.counts
     latency = status.latency_ms
-    if picture:
-        viewer.window.screenshot(picture, canvas_only=False)
     click.echo(machine())
     click.echo(
         f"{status.acquired - first} frames in {took:.0f} s, {status.camera_hz:.0f} Hz; "
@@ -81,7 +81,3 @@ def main(seconds: float, live: bool, modes: tuple[str, ...], picture: str | None
     )
     viewer.close()
     QApplication.processEvents()
-
-
-if __name__ == "__main__":
-    main()

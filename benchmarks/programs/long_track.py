@@ -1,21 +1,22 @@
 """The track of a long session in napari: how long the window's thread is held while loops go on being closed.
 
-By hand: ``python -m benchmarks.programs.long_track [--minutes M]``, without a screen under ``xvfb-run -a``. Another
+``python3 run.py bench long-track``, without a screen under ``xvfb-run -a``. Another
 process fills a board as the engine does, up to a time without waiting for the frames; from then on rows come at the
 camera's pace, all that came so far is relocated once a second, and the panel's ticks are timed.
 """
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import time
 from threading import Thread
+from typing import TYPE_CHECKING, Any
 
 import click
 import napari
 import numpy as np
+import psutil
 from qtpy.QtWidgets import QApplication
 
 from benchmarks.harness.machine import machine
@@ -28,6 +29,11 @@ from napari_elsplus.viewing.mosaic.live import LiveMosaicView
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Pipeline
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
 HZ = 240
 SPEED_PX = 6.0
 FIELD_PX = 3000.0
@@ -39,7 +45,7 @@ PREDICTED, LOST = 3, 2
 """Frames that are predicted, then lost, so often."""
 
 
-def where(frames):
+def where(frames: Array) -> Array:
     """Return positions of the probe, camera pixels: rounds over the same places."""
     turn = SPEED_PX / FIELD_PX * frames
     return np.column_stack([FIELD_PX * np.sin(turn), FIELD_PX * np.sin(1.37 * turn)])
@@ -48,7 +54,7 @@ def where(frames):
 class Session:
     """Writes to a board what the engine would have written."""
 
-    def __init__(self, um_per_px):
+    def __init__(self, um_per_px: float) -> None:
         rig = simulated_rig()
         self.board, self._um = MosaicBoard(), um_per_px
         self._pipeline = Pipeline(rig.calibration, rig.instrument.frame_shape)
@@ -56,43 +62,50 @@ class Session:
         self._image = np.random.default_rng(0).random((self._pipeline.grid.side,) * 2).astype(np.float32) * 99 + 1
         self.frames = 0
 
-    def go_on(self, frames):
+    def go_on(self, frames: int) -> None:
         """Add rows, and draw where the probe passes."""
-        places = where(self.frames + np.arange(frames))
+        places = where(self.frames + np.arange(float(frames)))
         scale = self._pipeline.camera_px_per_pixel
         for (row, col), frame in zip(places.tolist(), range(self.frames, self.frames + frames), strict=True):
             since = frame % LOST_EVERY
             state = "predicted" if LOST <= since < LOST + PREDICTED else "lost" if since < LOST else "tracked"
-            at = (np.nan, np.nan) if state == "lost" else (row, col)
-            self.board.append(
-                TrackPoint(frame, frame / HZ, 0, *at, at[0] * self._um, at[1] * self._um, 0.9, 0.02, state)
-            )
             if frame % 40 == 0 and frame < 4 * 60 * HZ:
                 self._mosaic.insert(self._image, row / scale, col / scale)
-                self.board.changed(0, self._mosaic.take_dirty())
+                if (part := self._mosaic.take_dirty()) is not None:
+                    self.board.changed(0, part)
+            if state == "lost":
+                row = col = np.nan
+            self.board.append(
+                TrackPoint(frame, frame / HZ, 0, row, col, row * self._um, col * self._um, 0.9, 0.02, state)
+            )
         self.frames += frames
 
-    def relocate(self):
+    def relocate(self) -> None:
         """Put all rows where they belong."""
-        row, col = where(np.arange(self.frames)).T
+        row, col = where(np.arange(float(self.frames))).T
         drift = DRIFT_PX * np.sin(self.frames + np.arange(self.frames) / 1e5)
         for block in self.board.blocks:
             segment = np.zeros(block.stop - block.start, np.int64)
             self.board.relocate(block, segment, (row + drift)[block], (col - drift)[block], self._um)
 
-    def close(self):
+    def close(self) -> None:
         """Give the board's memory back."""
         self._mosaic.clear()
         self.board.close()
 
 
-def engine():
+def engine() -> None:
     """Be the other process: write rows up to a time as fast as they can be written, then as they would come."""
-    session = Session(simulated_rig().calibration.um_per_px)
+    session = Session(simulated_rig().um_per_px)
     session.go_on(HZ)
-    told = []
+    told: list[str] = []
+
+    def listen() -> None:
+        told.extend(sys.stdin)
+        told.append("end\n")  # whoever looks on has ended
+
     click.echo(session.board.name)
-    Thread(target=lambda: told.extend(sys.stdin), daemon=True).start()
+    Thread(target=listen, daemon=True).start()
     while "end\n" not in told:
         time.sleep(1 / HZ)
         if not told:
@@ -111,12 +124,7 @@ def engine():
     session.close()
 
 
-def resident_mb():
-    with open("/proc/self/statm") as statm:
-        return int(statm.read().split()[1]) * resource.getpagesize() / 2**20
-
-
-def tick(panel):
+def tick(panel: Any) -> float:
     """Let the panel do what it does now and then, and napari draw; how long the panel held the thread."""
     start = time.perf_counter()
     panel.tick()
@@ -127,23 +135,20 @@ def tick(panel):
 
 @click.command()
 @click.option("--minutes", multiple=True, default=(1.0, 5.0, 15.0, 30.0))
-@click.option("--picture", type=click.Path(), help="Save the window as it is at the end.")
-@click.option("--theme", default="dark")
-@click.option("--maps", is_flag=True, help="Look at the maps of coverage and quality, too.")
 @click.option("--as-engine", is_flag=True, hidden=True)
-def main(minutes: tuple[float, ...], picture: str | None, theme: str, maps: bool, as_engine: bool) -> None:
-    """Look at a long session."""
+def long_track(minutes: tuple[float, ...], as_engine: bool) -> None:
+    """Show the track of a long session: how long the window is held while loops are closed."""
     if as_engine:
         engine()
         return
     viewer = napari.Viewer()
-    viewer.theme = theme
     viewer.window.resize(1280, 900)
     _, panel = viewer.window.add_plugin_dock_widget("napari-elsplus", "Mosaic", tabify=True)
     rig = simulated_rig()
-    other = subprocess.Popen(
-        [sys.executable, __file__, "--as-engine"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
-    )
+    command = [sys.executable, "-m", "benchmarks", "long-track", "--as-engine"]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1)
+    assert other.stdin is not None
+    assert other.stdout is not None
     grid = Pipeline(rig.calibration, rig.instrument.frame_shape).grid
     board = other.stdout.readline().strip()
     state = TrackState(MosaicPlan(), board, float(grid.binning), 0.45 * grid.diameter, {}, None)
@@ -160,8 +165,6 @@ def main(minutes: tuple[float, ...], picture: str | None, theme: str, maps: bool
         late = []
         while panel.layers.drawing.behind or len(live.rows) < rows:
             late.append(tick(panel))
-        for name in ("mosaic coverage", "mosaic quality"):
-            viewer.layers[name].visible = maps
         begin, held = time.perf_counter(), []
         while time.perf_counter() - begin < LOOK_S:
             held.append(tick(panel))
@@ -170,19 +173,13 @@ def main(minutes: tuple[float, ...], picture: str | None, theme: str, maps: bool
         click.echo(
             f"{minute:g} min: a tick takes {np.median(ms):.1f} ms (median), 99 % {np.quantile(ms, 0.99):.1f}, longest "
             f"{ms.max():.1f} ms ({len(ms)} ticks); who comes late has all in {len(late)} ticks of at most "
-            f"{1e3 * max(late):.0f} ms; {resident_mb():.0f} MB"
+            f"{1e3 * max(late):.0f} ms; {psutil.Process().memory_info().rss / 2**20:.0f} MB"
         )
     start = time.perf_counter()
     rows = len(list(live.rows))
     click.echo(f"{rows} rows read for saving in {time.perf_counter() - start:.1f} s")
-    if picture:
-        viewer.window.screenshot(picture, canvas_only=False)
     live.close()
     other.stdin.write("end\n")
     other.wait()
     viewer.close()
     QApplication.processEvents()
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Processor time of tracking a probe that jumps or has left the tissue: ``python -m benchmarks.programs.lost_probe``.
+"""Processor time of tracking a probe that jumps or has left the tissue: ``python3 run.py bench lost-probe``.
 
 With another checkout's ``src`` in PYTHONPATH the same frames are tracked by that one.
 """
@@ -56,7 +56,3 @@ def lost_probe(name: str, seed: int) -> None:
         those = median_ms[[piece == other for other, _ in frames]]
         counts = ", ".join(f"{count} {state}" for (other, state), count in states.items() if other == piece)
         click.echo(f"{piece:8} {those.mean():5.2f} ms mean, {those.max():5.2f} ms at most; {counts}")
-
-
-if __name__ == "__main__":
-    lost_probe()

@@ -5,7 +5,6 @@ With ``--against`` another checkout of the project is measured in turn with this
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import subprocess
@@ -19,8 +18,8 @@ import click
 import numpy as np
 from rich.progress import track
 
+from benchmarks.harness.table import write_rows
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
-from napari_elsplus.io.atomic import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -199,13 +198,11 @@ def start(out: Path, times: int, only: str, against: Path | None, force: bool) -
     with tempfile.TemporaryDirectory() as folder:
         taken = measure(chosen, {name: Checkout(path, Path(folder, name)) for name, path in sources.items()}, times)
     goals = {each.name: each.goal_s for each in chosen}
-    with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(("start", "checkout", "goal_s", "median_s", "fastest_s", "slowest_s", "times"))
-        for (name, checkout), seconds in taken.items():
-            goal_s, median_s, fastest_s, slowest_s = goals[name], float(np.median(seconds)), min(seconds), max(seconds)
-            numbers = (f"{number:.3f}" for number in (goal_s, median_s, fastest_s, slowest_s))
-            rows.writerow((name, checkout, *numbers, len(seconds)))
-            click.echo(
-                f"{name:38} {checkout:8} {median_s:6.2f} s ({fastest_s:.2f} to {slowest_s:.2f}), goal {goal_s:g}"
-            )
+    rows = []
+    for (name, checkout), seconds in taken.items():
+        goal_s, median_s, fastest_s, slowest_s = goals[name], float(np.median(seconds)), min(seconds), max(seconds)
+        numbers = (f"{number:.3f}" for number in (goal_s, median_s, fastest_s, slowest_s))
+        rows.append((name, checkout, *numbers, len(seconds)))
+        click.echo(f"{name:38} {checkout:8} {median_s:6.2f} s ({fastest_s:.2f} to {slowest_s:.2f}), goal {goal_s:g}")
+    titles = ("start", "checkout", "goal_s", "median_s", "fastest_s", "slowest_s", "times")
+    write_rows(table, titles, rows, force=force)

@@ -19,11 +19,9 @@ from qtpy.QtCore import QEventLoop, Qt, QTimer
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
+from benchmarks.rigs.engines import perfect_calibration
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rig import SIMULATED
-from napari_elsplus.hardware.virtual.bench import Simulation
-from napari_elsplus.simulation.model.instrument import Instrument
-from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.live.panel import TICK_MS, LivePanel
 from napari_elsplus.widgets.shared.problems import problems
 
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from napari_elsplus.acquisition.link.client import EngineClient
-    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.widgets.shared.connection import Connection
 
 PRESET: Final = "240hz"
@@ -92,7 +89,7 @@ def measure(seconds: float, canvases_px: Sequence[int], most: int) -> None:
     panel = LivePanel(viewer)
     viewer.window.add_dock_widget(panel, name="Live")
     try:
-        panel.connection.apply(_calibration())
+        panel.connection.apply(perfect_calibration(PRESET))
         panel.requests.run(lambda: _connected(panel.connection), lambda _: panel.toggle())  # in a thread
         _until("the stream was live", lambda: panel.live)
         client = panel.connection.require()
@@ -187,13 +184,6 @@ def _give_the_canvas(panel: LivePanel, size_px: int) -> None:
 def _connected(connection: Connection) -> None:
     client = connection.connect(SIMULATED, Settings(PRESET))
     client.set_heartbeat_timeout(_PATIENCE_S).result()  # a window's first images take seconds on a busy machine
-
-
-def _calibration() -> Calibration:
-    simulation = Simulation()
-    perfect = true_calibration(Instrument.of(PRESET, offset_um=simulation.offset_um))
-    assert perfect.galvo is not None
-    return perfect.model_copy(update={"galvo": perfect.galvo.model_copy(update={"lag_s": simulation.galvo.lag_s})})
 
 
 def _until(what: str, condition: Callable[[], bool]) -> None:

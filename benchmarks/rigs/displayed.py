@@ -25,7 +25,7 @@ THREE_IMAGES: Final = LiveView(modes=frozenset({Mode.LS, Mode.RESIDUAL, Mode.ELS
 @click.argument("report", type=click.Path(path_type=Path))
 def main(seconds: float, recording: Path, report: Path) -> None:
     """Stream at 240 Hz for some seconds; write a report as `acquire` does."""
-    run = run_engine(Here("240hz", track=True, view=THREE_IMAGES), seconds, record=recording, settle_s=0.0)
+    run = run_engine(Here("240hz", record=recording, track=True, view=THREE_IMAGES), seconds, settle_s=0.0)
     report.write_text(json.dumps(run.status.report()), encoding="utf-8")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from napari_elsplus.acquisition.calibrating.simulated import open_live
 from napari_elsplus.acquisition.engine.engine import Engine
@@ -12,6 +12,7 @@ from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.server import STATUS_PERIOD_S
 from napari_elsplus.acquisition.mosaic.tracking import LiveTrack
+from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.hardware.priority import keep_pace, settle_memory
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.hardware.virtual.bench import Simulation
@@ -20,37 +21,12 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.truth import true_calibration
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Status
-    from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
     from napari_elsplus.acquisition.streaming.ring import Ring
     from napari_elsplus.instrument.calibration import Calibration
-
-
-class Driven(Protocol):
-    """An engine, wherever it runs; every call waits."""
-
-    def __enter__(self) -> Self:
-        """Return it."""
-
-    def __exit__(self, *reason: object) -> Any:
-        """Close it."""
-
-    def begin(self, record: RecordingPlan | None) -> None:
-        """Stream, and record if asked."""
-
-    def end(self) -> None:
-        """Stop; the recording is in order then."""
-
-    def ring(self) -> Ring | None:
-        """Return where images are shown."""
-
-    @property
-    def pid(self) -> int:
-        """Number of its process."""
-
-    def outcome(self) -> Status:
-        """Return what was counted."""
 
 
 class Here:
@@ -60,17 +36,22 @@ class Here:
     ----------
     name : str
         Preset.
+    record : pathlib.Path, optional
+        File of a recording.
     track : bool
         Whether every frame is tracked and laid into a mosaic, too.
     view : LiveView, optional
         The live images; all by default.
     """
 
-    def __init__(self, name: str, *, track: bool = False, view: LiveView | None = None) -> None:
+    def __init__(
+        self, name: str, *, record: Path | None = None, track: bool = False, view: LiveView | None = None
+    ) -> None:
         keep_pace()
+        self._record = record
         self._engine = engine = Engine(open_live(SIMULATED))
         engine.configure(Settings(name))
-        calibration = _calibration(name)
+        calibration = perfect_calibration(name)
         engine.use(calibration)
         if view is not None:
             engine.show(view)
@@ -78,11 +59,11 @@ class Here:
         engine.track(self._track)
         settle_memory()
 
-    def begin(self, record: RecordingPlan | None) -> None:
-        """Stream."""
+    def begin(self) -> None:
+        """Stream, and record if asked."""
         self._engine.start()
-        if record is not None:
-            self._engine.record(record)
+        if self._record is not None:
+            self._engine.record(RecordingPlan(self._record, force=True))
 
     def end(self) -> None:
         """Stop."""
@@ -124,17 +105,14 @@ class Apart:
         self._client = client = EngineClient()
         client.open(SIMULATED).result()
         client.configure(Settings(name)).result()
-        client.use(_calibration(name)).result()
+        client.use(perfect_calibration(name)).result()
 
-    def begin(self, record: RecordingPlan | None) -> None:
+    def begin(self) -> None:
         """Stream."""
         self._client.start().result()
-        if record is not None:
-            self._client.record(record).result()
 
     def end(self) -> None:
         """Stop."""
-        self._client.stop_recording().result()
         self._client.stop().result()
 
     def ring(self) -> Ring | None:
@@ -158,7 +136,7 @@ class Apart:
         self._client.close()
 
 
-def _calibration(name: str) -> Calibration:
+def perfect_calibration(name: str) -> Calibration:
     """Return what a perfect calibration of the simulated rig would say."""
     simulation = Simulation()
     instrument = Instrument.of(name, offset_um=simulation.offset_um)

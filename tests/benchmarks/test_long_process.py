@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.programs.long_process import process
+from benchmarks.programs.process import process
 
 
 def test_frames_memory_and_the_disks_pace_are_tabulated(tmp_path: Path) -> None:

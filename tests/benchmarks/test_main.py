@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import PAGE_PROGRAMS, PAGES
-from benchmarks.harness.registry import MODULES
+from benchmarks.harness.registry import MODULES, PROGRAMS
 
 
 def test_the_list_names_every_benchmark_and_its_question(bench_program) -> None:
@@ -65,12 +65,15 @@ def test_a_page_that_is_not_there_is_bad_input(bench_program, tmp_path: Path) ->
 
 
 def test_the_package_is_drawn(bench_program, tmp_path: Path) -> None:
-    picture = tmp_path / "package.svg"
-    run = bench_program("architecture", "--out", picture)
-    assert run.code == 0
-    assert picture.read_text("utf-8").startswith("<?xml")
-    assert bench_program("architecture", "--out", picture).code == 2
-    assert bench_program("architecture", "--out", picture, "--source", tmp_path / "none", "--force").code == 2
+    assert bench_program("docs", "--docs", tmp_path, "--only", "architecture").code == 0
+    assert (tmp_path / "images" / "architecture.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_program_is_a_command(bench_program) -> None:
+    for name in PROGRAMS:
+        run = bench_program(name, "--help")
+        assert run.code == 0
+        assert run.out.startswith(f"Usage: run.py bench {name} "), name
 
 
 def test_the_mosaic_of_a_finished_stack_is_drawn(bench_program, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ simulated frames; it and the images, 22 GB for 14,400 frames, are deleted afterw
 
 from __future__ import annotations
 
-import csv
 import os
 import subprocess
 import sys
@@ -21,10 +20,10 @@ import click
 import numpy as np
 from rich.progress import track
 
+from benchmarks.harness.table import write_rows
 from benchmarks.programs.start import COMMAND_LINE, HERE
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.io import RecordingWriter
-from napari_elsplus.io.atomic import replacing
 from napari_elsplus.io.disk import SpanWriter, write_at
 from napari_elsplus.io.stored_frames import RELEASED_BYTES
 from napari_elsplus.workflows.simulated import simulate_recording
@@ -155,7 +154,6 @@ def process(out: Path, frames: int, turns: int, force: bool) -> None:
     refuse_outputs(table, force=force)
     with tempfile.TemporaryDirectory(dir=out) as folder:
         row = [f"{number:.5g}" for number in _numbers(Path(folder), frames, turns)]
-    with replacing(table, force=force) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows((TITLES, row))
+    write_rows(table, TITLES, [row], force=force)
     for title, number in zip(TITLES, row, strict=True):
         click.echo(f"{title:22} {number}")
