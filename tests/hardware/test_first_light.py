@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from napari_elsplus.acquisition.calibrating.simulated import place_target
 from napari_elsplus.diagnosis import first_light, first_light_scan
 from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.hardware.protocols import FrameInfo
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.timing import StrobePhase
 from napari_elsplus.hardware.u3v.discovery import choose_camera
@@ -82,6 +83,55 @@ def test_every_strobe_is_heard_and_the_mirror_never_leaves_its_parking_position(
     assert "one ramp for every frame" in said[-1]
     for program in rig.bench.card.programs()[before:]:
         assert {*program.samples, program.resting_v} == {rig.scanner.park_v}
+
+
+class LateComputer:
+    """A camera at 100 Hz, a card of which some strobes start no ramp, and a computer that reads the last frames late.
+
+    It is its own camera, scanner and module of time.
+    """
+
+    period_s = 0.01
+    frame_shape = (2, 2)
+    line_period_s, line_periods_per_frame = 1e-5, 1000.0
+    limits = SimpleNamespace()
+    park_v = 0.0
+
+    def __init__(self, late_s: float, unheard: int) -> None:
+        self.now_s, self.frames, self._late_s, self._unheard = 0.0, 0, late_s, unheard
+        self.camera = self.scanner = self
+        self.check_guarded = self.check = self.start = self.stop = self.park = lambda: None
+
+    def scan(self, waveform) -> None:
+        pass
+
+    def read_into(self, buffer, timeout_s):
+        self.frames += 1
+        ended_s = self.frames * self.period_s
+        self.now_s = max(self.now_s, ended_s + (self._late_s if self.frames > 60 else 0.0))
+        return FrameInfo(self.frames, ended_s + 1e-4, ended_s + 77.0)
+
+    @property
+    def ramps_begun(self) -> int:
+        return 1 + int(self.now_s / self.period_s) - (self._unheard if self.frames > 60 else 0)
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def perf_counter(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.013, 0.07])
+@pytest.mark.parametrize("unheard", [0, 1, 3])
+def test_unheard_strobes_are_counted_however_late_frames_are_read(late_s, unheard, monkeypatch) -> None:
+    """Before: a computer that was busy at the end of the check was told of ramps without a frame."""
+    late = LateComputer(late_s, unheard)
+    monkeypatch.setattr(first_light, "time", late)
+    monkeypatch.setattr(first_light, "_configure", lambda rig, preset, seconds: 100)
+    monkeypatch.setattr(first_light, "parked_waveform", lambda *_: None)
+    said = list(first_light.strobe(late, "120hz", 1.0))[-1]
+    assert said.startswith(f"{unheard} strobe(s) started no ramp" if unheard else "one ramp for every frame")
 
 
 def test_a_strobe_that_starts_two_ramps_is_not_called_unheard(rig, monkeypatch) -> None:

@@ -36,6 +36,7 @@ from napari_elsplus.instrument.optics import PRESETS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
     from usb.core import Device
 
     from napari_elsplus.hardware.rig import Rig
@@ -226,21 +227,33 @@ def strobe(rig: Rig, preset_name: str, seconds: float) -> Iterator[str]:
     rig.scanner.scan(parked_waveform(rig.limits, rig.scanner.park_v, period_s))
     buffer = np.empty(rig.camera.frame_shape, np.uint8)
     rig.camera.start()
-    leads = []
+    reads: list[tuple[float, ...]] = []
     for _ in range(frames):
         info = rig.camera.read_into(buffer, 5.0)
-        leads.append(rig.scanner.ramps_begun - info.frame_number)
+        time.sleep(period_s / 2)  # where a frame ends the next may begin: ramps are counted between two strobes
+        ramps, now_s = rig.scanner.ramps_begun, time.perf_counter()
+        reads.append((ramps, now_s, info.frame_number, info.received_s, info.readout_start_s))
     rig.scanner.check()
     rig.camera.stop()
     rig.scanner.park()
-    first, last = min(leads[: frames // 4]), min(leads[-frames // 4 :])
-    yield f"{frames} frames; ramps begun minus frame number: at first {first}, at last {last}"
-    if last < first:
-        yield f"{first - last} strobe(s) started no ramp: try a longer frame, the other edge (falling), another counter"
-    elif last > first:
-        yield f"{last - first} ramp(s) without a frame: the strobe bounces, or another signal is on its terminal"
+    leads = np.concatenate([_leads(part) for part in (reads[: frames // 2], reads[frames // 2 :])])
+    first, last = (float(np.median(part)) for part in (leads[: frames // 4], leads[-frames // 4 :]))
+    yield f"{frames} frames; ramps begun minus frames: at first {first:.1f}, at last {last:.1f}"
+    if (more := round(last - first)) < 0:
+        yield f"{-more} strobe(s) started no ramp: try a longer frame, the other edge (falling), another counter"
+    elif more > 0:
+        yield f"{more} ramp(s) without a frame: the strobe bounces, or another signal is on its terminal"
     else:
         yield "one ramp for every frame: the card is started anew by every strobe"
+
+
+def _leads(reads: list[tuple[float, ...]]) -> NDArray[np.float64]:
+    """Return the ramps begun at each time, less the frames that the camera had ended by then, read or not."""
+    ramps, now_s, numbers, received_s, camera_s = np.array(reads).T
+    period_s = (camera_s[-1] - camera_s[0]) / (numbers[-1] - numbers[0])
+    frame_zero_s = np.min(received_s - numbers * period_s)  # by the frame that came least late
+    leads: NDArray[np.float64] = ramps - (now_s - frame_zero_s) / period_s
+    return leads
 
 
 def _configure(rig: Rig, preset_name: str, seconds: float) -> int:
