@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-import json
 import os
 import re
 import shutil
@@ -59,14 +58,20 @@ class Recorder:
         return [" ".join(command) for command in self.commands]
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """``run.py`` as a module, working on an empty folder; there is no screen."""
+def loaded() -> ModuleType:
+    """``run.py`` as a module."""
     spec = importlib.util.spec_from_file_location("run_under_test", SCRIPT)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """``run.py`` as a module, working on an empty folder; there is no screen."""
+    module = loaded()
     for name in ("pyproject.toml", "constraints.txt"):
         (tmp_path / name).write_bytes((PROJECT / name).read_bytes())
     for name in ("VENV", "STAMP", "DEMO"):
@@ -138,13 +143,6 @@ def test_pip_is_upgraded_before_dependency_groups_and_the_stamp_comes_last(run: 
     assert words in installing
     assert stamped == [False, False, False, False]
     assert run.STAMP.exists()
-
-
-def test_a_second_run_installs_nothing(run: ModuleType, recorder: Recorder) -> None:
-    run.prepare()
-    recorder.commands.clear()
-    run.prepare()
-    assert recorder.commands == []
 
 
 def test_groups_are_added_without_a_rebuild_and_kept(run: ModuleType, recorder: Recorder) -> None:
@@ -294,6 +292,7 @@ def test_every_test_runs_once_as_computation_in_two_processes_or_in_turn(
     assert {environment["ELSPLUS_TEST_CACHE"] for environment in environments} == {cache}
     of_computation, in_turn, *in_two = tests  # on a screen, windows would take the keyboard from each other
     assert len(in_two) == (not screen)
+    assert environments[1].get("DISPLAY") == (None if screen else ":1280x1024")
     assert recorder.giving_way == [of_computation]
     assert ["OMP_NUM_THREADS" in environment for environment in environments] == [True, False, True][: len(tests)]
     assert ("src" in of_computation, "tests" in in_turn) == (True, True)
@@ -360,21 +359,6 @@ def test_one_check_that_fails_does_not_hide_the_others(
     assert run.main(["test"]) == 3
     assert "-m pytest" in recorder.said()[-1]
     assert capsys.readouterr().err == "run.py: failed: mypy\n"
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has Xvfb")
-def test_windows_are_tested_on_a_virtual_screen_where_there_is_none(
-    run: ModuleType, recorder: Recorder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run.main(["test"])
-    monkeypatch.setattr(run, "screen_answers", lambda: True)
-    run.main(["test"])
-    displays = [
-        environment.get("DISPLAY")
-        for command, environment in zip(recorder.commands, recorder.environments, strict=True)
-        if "tests" in command
-    ]
-    assert displays == [":1280x1024", None]
 
 
 DRAWS = """
@@ -501,11 +485,7 @@ def test_anyone_else_is_told_the_line(
 
 
 def test_a_library_is_missing_when_it_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = importlib.util.spec_from_file_location("run_unpatched", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = loaded()
     assert not module.loads("libnosuchthing.so.9")
     monkeypatch.setattr(module, "loads", lambda library: library != "libxcb-cursor.so.0")
     assert module.missing_packages(virtual_screen=False) == ["libxcb-cursor0"]
@@ -573,11 +553,6 @@ def test_constraints_are_exact_versions_and_nothing_else() -> None:
     names = [line.partition("==")[0].lower() for line in lines]
     assert len(names) == len(set(names))
     assert {"napari", "numpy", "numba", "pyqt6", "pytest", "ruff"} <= set(names)
-
-
-def test_the_stamp_says_what_it_stands_for(run: ModuleType, recorder: Recorder) -> None:
-    run.prepare("test")
-    assert json.loads(run.STAMP.read_text(encoding="utf-8")) == {"fingerprint": run.fingerprint(), "groups": ["test"]}
 
 
 def test_continuous_integration_installs_the_dissector_and_runs_the_tests() -> None:

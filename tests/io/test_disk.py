@@ -6,6 +6,7 @@ import errno
 import mmap
 import os
 import shutil
+from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -119,17 +120,24 @@ def test_what_could_not_be_written_is_told_though_later_blocks_could(
 
 
 def test_an_array_may_be_reused_as_soon_as_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    block_bytes = 16 << 20  # large blocks are longer on their way
-    monkeypatch.setattr(disk, "BLOCK_BYTES", block_bytes)
+    """While the disk has taken none of its bytes."""
+    write_at, go_on = disk.write_at, Event()
+
+    def late(file: object, place: int, *parts: bytes | memoryview) -> None:
+        assert go_on.wait(60)
+        write_at(file, place, *parts)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(disk, "write_at", late)
     path = tmp_path / "a.bin"
     path.write_bytes(b"")
-    values = np.empty(block_bytes, np.uint8)
+    values = np.zeros(BLOCK_BYTES, np.uint8)
     with SpanWriter(path, 0) as writer:
-        for number in range(12):
+        for number, count in enumerate((BLOCK_BYTES, BLOCK_BYTES // 2)):
             values[:] = number
-            writer.write(values)
-    found = np.fromfile(path, np.uint8).reshape(12, -1)
-    np.testing.assert_array_equal(found, np.repeat(np.arange(12, dtype=np.uint8)[:, None], block_bytes, axis=1))
+            writer.write(values[:count])
+        values[:] = 99
+        go_on.set()
+    np.testing.assert_array_equal(np.fromfile(path, np.uint8), np.repeat([0, 1], (BLOCK_BYTES, BLOCK_BYTES // 2)))
 
 
 def test_systems_without_direct_writing_write_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,19 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from napari_elsplus.acquisition.engine.engine import Engine
-from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.diagnosis.rehearsal.rehearse import faults
-from napari_elsplus.errors import InputError
-from napari_elsplus.hardware.rigs import open_rig
-from napari_elsplus.instrument.optics import preset
 
 COMMAND = (sys.executable, "-c", "from napari_elsplus.cli import main; main()", "rehearse")
 COLUMNS = [
     "fault", "promise", "held", "parked_s", "limit_s", "frames_lost", "frames_lost_silently", "message",
 ]  # fmt: skip
-SHORT = {"strobe-never-wired", "engine-killed", "configure-fails"}
-"""Rehearsed by default; chosen: a fault of a wire, of a process and of a command."""
+SHORT = {"strobe-never-wired", "engine-killed", "window-frozen", "configure-fails"}
+"""Rehearsed by default; chosen: a fault of a wire, one of each process, and one of a command."""
 BROKEN: dict[str, str] = {}
 """Promises that are not held, and the room that has to change."""
 LIMITS_S = {
@@ -88,20 +83,3 @@ def test_the_rehearsal_judges_and_does_not_believe(monkeypatch: pytest.MonkeyPat
     assert row.parked_s is not None
     assert row.parked_s > row.limit_s
     assert "still on the bundle" in row.message
-
-
-def test_a_ramp_that_does_not_fit_is_refused_with_its_remedy() -> None:
-    with open_rig() as rig:
-        assert rig.bench is not None
-        calibration = rig.bench.optics.calibration(preset("240hz"))
-        assert calibration.bundle is not None
-        assert calibration.galvo is not None
-        larger = calibration.bundle.model_copy(update={"diameter_px": 530.0})
-        farther = calibration.galvo.model_copy(update={"park_v": -0.45})  # clear of that bundle, too
-        with Engine(rig) as engine:
-            engine.configure(Settings("240hz"))
-            engine.use(calibration.model_copy(update={"bundle": larger, "galvo": farther}))
-            with pytest.raises(InputError, match=r"flyback|frame rate"):
-                engine.start()
-            assert rig.scanner.park_state.parked
-            assert rig.bench.card.last_volts == pytest.approx(rig.scanner.park_v)

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 import time
 from concurrent.futures import Future
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.engine.live_images import LiveView
@@ -19,9 +14,7 @@ from napari_elsplus.acquisition.link.client import EngineClient
 from napari_elsplus.acquisition.link.commands import COMMANDS, Commands, Scheduling
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.errors import CancelledError, InputError
-from napari_elsplus.hardware.virtual.card.process import start_card
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import open_recording
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
 from small_rig import small_calibration
@@ -30,30 +23,6 @@ from waiting import until
 HERE = Path(__file__).parents[1]
 SLOW = Settings("240hz", frame_rate_hz=100.0)
 TIMEOUT_S = 1.0
-FROZEN = f"""
-import os, sys, time
-from pathlib import Path
-from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
-path, *command = sys.argv[1:]
-client = EngineClient(command)
-client.open("small").result()
-client.set_heartbeat_timeout({TIMEOUT_S}).result()
-client.configure(Settings("240hz", frame_rate_hz=100.0)).result()
-client.start().result()
-client.record(RecordingPlan(Path(path))).result()
-client.hold(0.25).result()
-print(client.pid, flush=True)
-while not client.status.faults:
-    time.sleep(0.05)
-print(client.status.faults[0], flush=True)
-while client.status.recording.running:
-    time.sleep(0.05)
-live = client.status.live
-client.close()
-print(live, flush=True)
-"""
 
 
 def sweep(client: EngineClient) -> Future[object]:
@@ -112,36 +81,6 @@ def test_nothing_that_changes_frames_is_done_while_they_are_recorded(client: Eng
             refused.result(20)
     before = client.status.recorded
     until(lambda: client.status.recorded > before + 5)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="stops processes as POSIX does")
-def test_a_frozen_window_leaves_the_galvo_parked_the_frames_kept_and_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "r.ome.tif"
-    with start_card() as card:
-        window = subprocess.Popen(
-            [sys.executable, "-c", FROZEN, str(path), sys.executable, str(HERE / "engine_process.py"),
-             str(tmp_path / "log"), card.address],
-            stdout=subprocess.PIPE,
-            text=True,
-        )  # fmt: skip
-        assert window.stdout is not None
-        window.stdout.readline()
-        assert card.last_volts == pytest.approx(0.25)
-        os.kill(window.pid, signal.SIGSTOP)
-        stopped_s = time.perf_counter()  # the card's clock
-        try:
-            until(lambda: card.last_volts == pytest.approx(-0.7))
-            parked = next(output for output in reversed(card.programs()) if output.resting_v == pytest.approx(-0.7))
-            assert parked.since_s - stopped_s < TIMEOUT_S + 0.5
-            time.sleep(1.0)
-        finally:
-            os.kill(window.pid, signal.SIGCONT)
-        said, _ = window.communicate(timeout=60)
-    assert "the window was frozen for 1 s: the galvo was parked" in said
-    assert said.split()[-1] == "True"  # frames went on streaming
-    with open_recording(path) as recording:
-        assert len(recording) > 0.5 * TIMEOUT_S * 100
-        assert (np.diff(recording.frame_numbers) == 1).all()
 
 
 def test_a_heartbeat_timeout_is_refused_if_it_is_none(client: EngineClient) -> None:

@@ -84,9 +84,9 @@ def test_the_offset_is_that_at_the_centres_where_views_differ_in_scale(beside_ro
 
 
 def test_the_offset_of_a_rotated_view_is_as_exact_as_stated() -> None:
-    """The centres, at which it holds, are uncertain: 16 rigs were off by 1.9 stated standard deviations RMS."""
+    """The centres, at which it holds, are uncertain; without that, rigs were off by 1.8 standard deviations RMS."""
     off = []
-    for seed in range(16):
+    for seed in range(8):
         random = np.random.default_rng(seed)
         left, right = (150.3 + random.uniform(), 148 + random.uniform()), (141.2 + random.uniform(), 452.5)
         turn_deg, scale = random.choice([-3.5, 3.5]), random.choice([1.0, 1.02])
