@@ -106,16 +106,6 @@ def test_a_dismissed_guardian_leaves_the_mirror_alone() -> None:
         assert not guardian._process.alive
 
 
-def test_a_guardian_to_whom_a_process_that_ends_hands_over_parks_at_once() -> None:
-    card = VirtualCard()
-    with CardServer(card) as server:
-        guardian = Guardian(order_for(server.address))
-        guardian.hand_over()
-        seconds_until(lambda: card.last_volts == -0.7)
-        seconds_until(lambda: not guardian.on_guard)
-        guardian.dismiss()
-
-
 @pytest.mark.parametrize(("end", "volts"), [("", -0.7), ("farewell\n", 0.0)])
 def test_orders_that_end_without_a_farewell_are_carried_out(end, volts) -> None:
     card = VirtualCard()

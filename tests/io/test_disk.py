@@ -87,18 +87,6 @@ def test_a_disk_that_refuses_is_written_by_way_of_the_systems_memory(
     assert refused
 
 
-def test_a_full_disk_is_no_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(file: object, place: int, *parts: bytes | memoryview) -> None:
-        del file, place, parts
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(disk, "write_at", full)
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"")
-    with pytest.raises(OSError, match="No space"), SpanWriter(path, 0) as writer:
-        writer.write(BEFORE[: 2 * PAGE])
-
-
 @pytest.mark.parametrize("blocks", [1, 2, 5])
 def test_what_could_not_be_written_is_told_though_later_blocks_could(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocks: int

@@ -152,29 +152,6 @@ def test_an_existing_recording_is_kept(engine: Engine, tmp_path: Path) -> None:
     assert (tmp_path / "r.ome.tif").read_bytes() == b"mine"
 
 
-def test_a_full_disk_ends_the_recording_and_nothing_else(
-    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    append = RecordingWriter.append
-
-    def fills_up(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
-        if len(writer) == 9:
-            raise OSError(errno.ENOSPC, "No space left on device", str(writer.path))
-        append(writer, *arguments, **options)
-
-    monkeypatch.setattr(RecordingWriter, "append", fills_up)
-    engine.start()
-    engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
-    until(lambda: bool(engine.status().faults))
-    before = engine.status().processed
-    until(lambda: engine.status().processed > before + 10)
-    (fault,) = engine.status().faults
-    assert fault.source == "recorder"
-    assert "No space left" in fault.problem
-    with open_recording(tmp_path / "r.ome.tif") as recording:
-        assert len(recording) == 9
-
-
 @pytest.mark.skipif(os.name == "nt", reason="a file that is open cannot be removed there")
 def test_a_recording_whose_folder_is_removed_is_not_said_to_be_readable(engine: Engine, tmp_path: Path) -> None:
     """The user was told to free some disk space, and that what was written is readable."""
@@ -192,21 +169,33 @@ def test_a_recording_whose_folder_is_removed_is_not_said_to_be_readable(engine: 
     assert "readable" not in fault.remedy
 
 
-def test_a_recorder_that_fails_completes_its_file(
-    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left"),
+        (InputError("frame 9 is of another size", "start another recording"), "frame 9"),
+    ],
+)
+def test_a_recorder_that_fails_completes_its_file_and_ends_nothing_else(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
 ) -> None:
     append = RecordingWriter.append
 
     def fails(writer: RecordingWriter, *arguments: Any, **options: Any) -> None:
         if len(writer) == 9:
-            raise InputError("frame 9 is of another size", "start another recording")
+            raise error
         append(writer, *arguments, **options)
 
     monkeypatch.setattr(RecordingWriter, "append", fails)
     engine.start()
     engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
     until(lambda: bool(engine.status().faults))
+    before = engine.status().processed
+    until(lambda: engine.status().processed > before + 10)
     until(lambda: not engine.status().recording.running)  # type: ignore[union-attr]
+    (fault,) = engine.status().faults
+    assert fault.source == "recorder"
+    assert said in fault.problem
     with open_recording(tmp_path / "r.ome.tif") as recording:
         assert len(recording) == 9
         assert recording.metadata["frame_period_s"] > 0  # written with the end of the file

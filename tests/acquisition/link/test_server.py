@@ -19,7 +19,7 @@ from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import find_step
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
-from processes import exists, segments
+from processes import runs, segments
 from waiting import until
 
 
@@ -77,16 +77,6 @@ def test_of_the_mosaic_nothing_is_left(own_client: EngineClient, calibration: Ca
     until(lambda: segments(pid) == [])
 
 
-def test_closing_leaves_nothing(own_client: EngineClient, log: Path) -> None:
-    own_client.start().result(60)
-    until(lambda: own_client.status.acquired > 3)
-    pid = own_client.pid
-    own_client.close()
-    assert not exists(pid)
-    assert log.read_text().split()[-1] == "park"
-    assert segments(pid) == []
-
-
 def test_a_procedure_can_be_cancelled(client: EngineClient, shared_log: Path, calibration: Calibration) -> None:
     sweeping = client.measure_step(find_step("galvo"), Draft(calibration), 400)
     until(lambda: client.status.progress is not None and client.status.progress.done > 3)
@@ -99,11 +89,17 @@ def test_a_procedure_can_be_cancelled(client: EngineClient, shared_log: Path, ca
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
-def test_a_terminated_engine_ends_in_order(own_client: EngineClient, log: Path) -> None:
+@pytest.mark.parametrize("how", ["closed", "terminated"])
+def test_an_engine_that_is_ended_parks_and_leaves_nothing(own_client: EngineClient, log: Path, how: str) -> None:
     own_client.start().result(60)
+    until(lambda: own_client.status.acquired > 3)
     pid = own_client.pid
-    os.kill(pid, signal.SIGTERM)
-    until(lambda: own_client.died is not None)
+    if how == "closed":
+        own_client.close()
+    else:
+        os.kill(pid, signal.SIGTERM)
+        until(lambda: own_client.died is not None)
+    assert not runs(pid)
     assert log.read_text().split()[-1] == "park"
     assert segments(pid) == []
 
