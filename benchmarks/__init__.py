@@ -2,8 +2,8 @@
 
 ``python3 run.py bench NAME`` is ``python -m benchmarks NAME`` in the project's own environment; ``--help`` lists all.
 
-- ``choices``, ``stability``, ``parsimony``: benchmarks, a module each, which `harness` runs: methods on cases with known
-  truth, timed and judged. Charted are cost and error; failures by stress; error by number of parameters.
+- ``choices``, ``stability``, ``parsimony``: benchmarks, a module each, which ``harness`` runs: methods on cases with
+  known truth, timed and judged. Charted are cost and error, failures by stress, and error by number of parameters.
 - ``imperfect``: what each imperfection of an instrument costs, and many of them at once.
 - ``studies``: measurements of accuracy; ``documents``: the charts and tables of the documentation, made from them.
 - ``programs``: what is measured in processes and windows of its own, and deliberate mistakes that tests must notice.

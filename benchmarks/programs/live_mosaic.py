@@ -16,6 +16,7 @@ from qtpy.QtWidgets import QApplication
 
 from benchmarks.harness.machine import machine
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
+from napari_elsplus.widgets.shared.window import closing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +41,7 @@ def go_on(until: Callable[[], bool], seconds: float) -> bool:
 @click.option("--mode", "modes", multiple=True, default=("els",), help="Images that are laid; again for more.")
 def live_mosaic(seconds: float, live: bool, modes: tuple[str, ...]) -> None:
     """Lay a mosaic live in a window: frames lost, lateness, and how often it is shown."""
+    closing.confirm = lambda *_: True  # nobody is there to be asked whether the mosaic may go
     viewer = napari.Viewer()
     viewer.window.resize(1280, 900)
     if live:

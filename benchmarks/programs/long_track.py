@@ -26,6 +26,7 @@ from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.mosaicing.mosaic import Mosaic
 from napari_elsplus.viewing.mosaic.live import LiveMosaicView
+from napari_elsplus.widgets.shared.window import closing
 from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 from napari_elsplus.workflows.tracking import Pipeline
 
@@ -141,6 +142,7 @@ def long_track(minutes: tuple[float, ...], as_engine: bool) -> None:
     if as_engine:
         engine()
         return
+    closing.confirm = lambda *_: True  # nobody is there to be asked whether the mosaic may go
     viewer = napari.Viewer()
     viewer.window.resize(1280, 900)
     _, panel = viewer.window.add_plugin_dock_widget("napari-elsplus", "Mosaic", tabify=True)
