@@ -12,11 +12,7 @@ from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.analysis.slit_offset import SaturationFit, fit_saturation
 from napari_elsplus.processing.axial.axial_notes import axial_content
-from napari_elsplus.processing.axial.axial_response import (
-    AxialResponse,
-    SystematicUncertainty,
-    axial_response,
-)
+from napari_elsplus.processing.axial.axial_response import AxialResponse, SystematicUncertainty, axial_response
 from napari_elsplus.processing.axial.profiles import axial_profiles
 from napari_elsplus.viewing.lazy import LazyPlanes
 from napari_elsplus.viewing.script import recording_script
@@ -144,12 +140,7 @@ class ManualScan:
         return Scan(f"{MANUAL_SCAN}, {len(self.depth_um)} frames", response, *slit_um(calibration))
 
 
-def measure_scan(
-    stack: Stack,
-    calibration: Calibration,
-    *,
-    progress: ProgressWrapper = iter,
-) -> Scan:
+def measure_scan(stack: Stack, calibration: Calibration, *, progress: ProgressWrapper = iter) -> Scan:
     """Measure the axial response of a stack of depths.
 
     Parameters

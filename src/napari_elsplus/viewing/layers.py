@@ -16,7 +16,7 @@ from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
-from napari_elsplus.viewing.lazy import LazyPlanes, image_planes
+from napari_elsplus.viewing.lazy import image_planes
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
         words["scale"] = (mode.frames_per_image * words["scale"][0], *words["scale"][1:])
         words["visible"] = mode is Mode.ELS
         words["interpolation2d"] = SMOOTH
-        words["contrast_limits"] = _white(images)
+        words["contrast_limits"] = _limits(white_level(images[0]))
         words["metadata"] = provenance(stack, mode.value, calibration, source)
         layers.append((images.dask(), words, "image"))
     return layers
@@ -217,18 +217,13 @@ def finished_layer(stack: Stack) -> Layer:
     mode = settings.get("mode") if isinstance(settings, dict) else None
     title = next((known.label for known in Mode if known.value == mode), "images")
     words = attributes(stack, title, None)
-    words["contrast_limits"] = _white(stack.planes)
+    words["contrast_limits"] = _limits(white_level(stack.planes[0]))
     words["interpolation2d"] = SMOOTH
     words["metadata"] = provenance(stack, str(mode or "images"), stack.own_calibration(), None)
     if len(stack.planes) == 1:
         flat = {name: words[name][1:] for name in ("scale", "translate", "units", "axis_labels")}
         return stack.planes[0], words | flat, "image"
     return stack.planes.dask(), words, "image"
-
-
-def _white(images: LazyPlanes) -> tuple[float, float]:
-    first = images[0]
-    return _limits(white_level(first))
 
 
 def _limits(white: float) -> tuple[float, float]:

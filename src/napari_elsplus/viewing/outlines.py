@@ -16,9 +16,7 @@ from napari_elsplus.viewing.stack import space
 if TYPE_CHECKING:
     import os
 
-    from numpy.typing import NDArray
-
-    from napari_elsplus.instrument.calibration import BundleSection, Calibration
+    from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.viewing.layers import Layer
 
 OUTLINE_COLOURS: Final = ("#56b4e9", "#e69f00")
@@ -74,7 +72,8 @@ def outline_layer(calibration: Calibration, name: str, path: Path | None = None)
         "text": {"string": "{view}", "color": list(OUTLINE_COLOURS), "anchor": "upper_left", "size": 10},
         "metadata": {PROVENANCE: {"kind": "calibration", "calibration": calibration, "calibration_path": path}},
     }
-    return _outlines(bundle), attributes, "shapes"
+    corners = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
+    return [np.add(centre, diameter_px / 2 * corners) for centre, diameter_px in bundle.discs], attributes, "shapes"
 
 
 def summary(calibration: Calibration) -> str:
@@ -99,8 +98,3 @@ def summary(calibration: Calibration) -> str:
     if calibration.background is not None:
         parts.append("background")
     return ", ".join(parts) or "no measured section"
-
-
-def _outlines(bundle: BundleSection) -> list[NDArray[np.float64]]:
-    corners = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], np.float64)
-    return [np.add(centre, diameter_px / 2 * corners) for centre, diameter_px in bundle.discs]

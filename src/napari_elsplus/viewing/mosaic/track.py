@@ -161,7 +161,7 @@ class TrackDrawing:
             np.stack([starts, steps], axis=1),
             score,
             segment,
-            self._on_sheet(marked[known], place),
+            _on_sheet(marked[known], place, self._scale),
             kinds,
             np.where(kinds == BEGINS, numbers, ""),
         )
@@ -175,7 +175,7 @@ class TrackDrawing:
         near = np.add.reduceat(steps_px, after) < _JOINED * self._tracked.apart_px
         drawn = (first["segment"] == last["segment"]) & (first["state"] == _TRACKED) & (near | (frames[1:] == after))
         drawn &= np.logical_and.reduceat(rows["state"] == _TRACKED, after)
-        starts, ends = (self._on_sheet(end[drawn], place) for end in (first, last))
+        starts, ends = (_on_sheet(end[drawn], place, self._scale) for end in (first, last))
         return starts, ends - starts, np.fmin.reduceat(rows["score"], after)[drawn], first["segment"][drawn]
 
     def _begun(self) -> list[int]:
@@ -185,9 +185,6 @@ class TrackDrawing:
         there = rows["state"] == _TRACKED
         _, firsts = np.unique(rows["segment"][there], return_index=True)
         return sorted(indices[there][firsts].tolist())
-
-    def _on_sheet(self, rows: Any, place: Callable[[int], tuple[int, int]]) -> NDArray[np.float64]:
-        return _on_sheet(rows, place, self._scale)
 
 
 @dataclass(frozen=True)
