@@ -6,7 +6,6 @@ what others do on the machine is left out.
 
 from __future__ import annotations
 
-import resource
 import time
 from itertools import product
 from typing import TYPE_CHECKING, Final
@@ -70,6 +69,8 @@ def imperfect_times_ms(seed: int, case: str) -> Array:
 @click.command()
 def rendering() -> None:
     """Render frames of each preset, of other lines, and of imperfect rigs: time of each, and memory."""
+    import resource  # which Windows has not
+
     cv2.setNumThreads(1)
     for preset, name, path in product(PRESETS, ("fibres", "nuclei"), ("still", "hand")):
         renderer = Renderer(Instrument.of(preset), scene(name), trajectory(path), seed=1)
