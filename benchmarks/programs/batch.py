@@ -36,12 +36,13 @@ from napari_elsplus.cli import main
 from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
 from napari_elsplus.io import ImageMetadata, write_calibration, write_images
 from napari_elsplus.workflows.batch.job import RECORDS, open_output
+from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.simulated import simulate_recording
 
 PASSES: Final = 10
 """Recordings that are cut from one long simulated one: rendering a scene anew takes longer than its frames."""
-POLL_S: Final = 0.1
-"""Time between looks at the records; chosen, a small part of a stage."""
+POLL_S: Final = 0.02
+"""Time between looks at the records; chosen, a small part of a stage, also of a few frames."""
 CPU_POLL_S: Final = 0.5
 """Time between looks at the processes, which take milliseconds of a core; chosen, a small part of a run."""
 STAGES: Final = ("section", "mosaic")
@@ -96,7 +97,8 @@ def finished(output: Path) -> dict[str, int]:
     """Return the time (ns) at which each finished stage, or span of a stage, was recorded, by the record's path."""
     records = output / RECORDS
     found: dict[str, int] = {}
-    for path in (*records.glob("[!.]*.*.json"), *records.glob("*.spans/[0-9]*.json")):
+    stages = (path for stage in STAGES for path in records.glob(f"*/{stage}.json"))
+    for path in (*stages, *records.glob(f"*/{SPANS}/[0-9]*.json")):
         with contextlib.suppress(FileNotFoundError):  # spans whose stage has just been finished
             found[str(path.relative_to(records))] = path.stat().st_mtime_ns
     return found
@@ -128,7 +130,7 @@ class Records:
     @property
     def stages(self) -> int:
         """Number of finished stages."""
-        return sum("/" not in name for name in self.first_ns)
+        return sum(Path(name).stem in STAGES for name in self.first_ns)
 
 
 def run_batch(source: Path, records: Records, workers: int, *, kill_at: int | None = None) -> Run:
@@ -270,7 +272,7 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
                     main(words)
             differing += differences(output / path.stem, single / path.stem)
             shutil.rmtree(single / path.stem)
-        left = [*output.rglob(".????????.*"), *(output / RECORDS).glob("*.spans")]
+        left = [*output.rglob(".????????.*"), *(output / RECORDS).glob(f"*/{SPANS}")]
         shutil.rmtree(output)
         for _ in range(rounds):
             for workers in (1, 2):

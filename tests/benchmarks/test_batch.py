@@ -22,7 +22,7 @@ needs_process_groups = pytest.mark.skipif(not hasattr(os, "killpg"), reason="kil
 @pytest.mark.slow
 @needs_process_groups
 def test_a_killed_batch_ends_as_single_runs_do(tmp_path: Path) -> None:
-    words = ["--out", str(tmp_path), "--recordings", "4", "--frames", "5", "--kills", "2", "--rounds", "1"]
+    words = ["--out", str(tmp_path), "--recordings", "4", "--frames", "20", "--kills", "2", "--rounds", "1"]
     done = CliRunner().invoke(batch, words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "8 of 8 stages finished" in done.output
