@@ -19,7 +19,6 @@ from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.rendering.renderer import Renderer
 from napari_elsplus.simulation.specimen.scenes import scene
 from napari_elsplus.simulation.truth import true_calibration
-from napari_elsplus.workflows.batch import cluster
 from napari_elsplus.workflows.calibration import calibrate
 
 if TYPE_CHECKING:
@@ -75,16 +74,6 @@ def test_a_plate_without_depths(elsplus: Callable[..., Run], tmp_path: Path, pla
     ended = elsplus("recommend", "--depth-um", 60, "-c", tmp_path / "cal.json", "--plate", tmp_path / "plate.json")
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert problem in ended.err
-
-
-def test_a_scheduler_that_is_not_there(
-    elsplus: Callable[..., Run], stacks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "SCHEDULER_TIMEOUT_S", 0.2)
-    ended = elsplus("batch", stacks, "-o", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
-    assert (ended.code, ended.err.count("\n")) == (2, 1)
-    assert "no scheduler answers at tcp://127.0.0.1:9" in ended.err
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

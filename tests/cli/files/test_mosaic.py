@@ -142,17 +142,6 @@ def test_finished_images_exclude_a_calibration_and_a_mode(
     assert f"--finished excludes {given[0]}" in run.err
 
 
-def test_raw_frames_without_a_calibration_are_refused(
-    elsplus: Callable[..., Any], finished: tuple[Path, np.ndarray], tmp_path: Path
-) -> None:
-    run = elsplus("mosaic", finished[0], "-o", tmp_path / "m.tif")
-    assert run.code == 2
-    assert len(run.err.strip().splitlines()) == 1
-    assert "no calibration in or beside finished.tif" in run.err
-    assert "-c" in run.err
-    assert "--finished" in run.err
-
-
 def test_a_real_video_of_soft_tissue(elsplus: Callable[..., Any], data_folder: Path, tmp_path: Path) -> None:
     video, judge = data_folder / "real-pcle" / "video.tif", data_folder.parent / "tools" / "real_video.py"
     if not (video.is_file() and judge.is_file()):

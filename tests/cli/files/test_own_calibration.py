@@ -61,6 +61,7 @@ def test_without_any_one_line_names_the_option(elsplus: Cli, tmp_path: Path, com
     assert run.code != 0
     (line,) = run.err.strip().splitlines()
     assert "no calibration in or beside bare.tif: name one with -c" in line
+    assert ("--finished" in line) == (command == "mosaic")
 
 
 def test_the_one_that_was_found_is_not_overwritten(elsplus: Cli, raw: Path) -> None:
