@@ -40,14 +40,6 @@ def test_three_images_stand_side_by_side_in_micrometres(recording):
     assert np.all(titles[:, 0] * above["scale"][0] < shown[0][1]["translate"][1])
 
 
-def test_frames_do_not_depend_on_the_order_in_which_they_are_looked_at(recording):
-    raw = recording["fibres raw"][0]
-    forwards = [np.asarray(raw[k]) for k in (5, 6, 400)]
-    again = by_name(_sample_data.recording())["fibres raw"][0]
-    for frame, k in zip(reversed(forwards), (400, 6, 5), strict=True):
-        np.testing.assert_array_equal(again[k], frame)
-
-
 def test_the_calibration_set_gives_the_calibration_of_the_instrument_it_was_made_with():
     layers = by_name(_sample_data.calibration_set())
     sweep, attributes = layers["calibration sweep"]
