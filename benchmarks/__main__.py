@@ -22,7 +22,7 @@ from benchmarks.harness.methods import Chart
 from benchmarks.harness.peers import PACKAGES, environment, install
 from benchmarks.harness.registry import MODULES, PROGRAMS, benchmark, program
 from benchmarks.harness.running import run
-from benchmarks.harness.table import breakdowns, header, lines, markdown, write_csv
+from benchmarks.harness.table import breakdowns, header, lines, markdown, results_in, write_csv
 from benchmarks.harness.verdict import verdict
 from benchmarks.imperfect import row_twins, study, survey
 from benchmarks.imperfect.cases import CASES
@@ -123,12 +123,11 @@ def imperfect_rigs(
     force: bool,
 ) -> None:
     """Disturb the simulated rig by each imperfection, with and without its correction, and draw rigs at random."""
-    tables, chart = [out / f"imperfect{name}" for name in (".csv", "-rigs.csv")], out / "imperfect.png"
+    names = ("imperfect.csv", "imperfect-rigs.csv", "imperfect.png")
+    *tables, chart = results_in(out, *names, force=force or resume)
     if not resume:
-        refuse_outputs(*tables, chart, force=force)
         for path in tables:
             path.unlink(missing_ok=True)
-    out.mkdir(parents=True, exist_ok=True)
     blocks = {}
     with Console(stderr=True).status("imperfect") as status:
         if not only_rigs:
@@ -159,9 +158,7 @@ def imperfect_rigs(
 @force_option
 def ablation_command(words: tuple[str, ...], out: Path, quick: bool, folder: Path | None, force: bool) -> None:
     """Leave out each rule of the acceptance test, halve and double each constant; WORDS choose of them."""
-    table, chart = out / "ablation.md", out / "ablation.png"
-    refuse_outputs(table, chart, force=force)
-    out.mkdir(parents=True, exist_ok=True)
+    table, chart = results_in(out, "ablation.md", "ablation.png", force=force)
     unchanged, *changed = ablation.changes()
     chosen = [unchanged, *(c for c in changed if not words or any(word in f"{c.rule}: {c.change}" for word in words))]
     seeds, kinds = (ablation.SEEDS[:1], ablation.KINDS[:1]) if quick else (ablation.SEEDS, ablation.KINDS)
@@ -274,13 +271,12 @@ def _page(name: str, folder: Path, quick: bool, photographs: Path | None) -> str
 
 def _measuring(name: str) -> click.Command:
     def measure(out: Path, quick: bool, force: bool) -> None:
-        out.mkdir(parents=True, exist_ok=True)
-        refuse_outputs(out / f"{name}.csv", out / f"{name}.png", force=force)
+        table, chart = results_in(out, f"{name}.csv", f"{name}.png", force=force)
         console = Console(stderr=True)
         with console.status(name) as status:
             result = run(benchmark(name), quick=quick, report=status.update)
-        write_csv(result, out / f"{name}.csv", force=force)
-        save_figure(draw_benchmark(result), out / f"{name}.png", force=force)
+        write_csv(result, table, force=force)
+        save_figure(draw_benchmark(result), chart, force=force)
         _show(result)
 
     question = benchmark(name).question

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from benchmarks.harness.methods import Chart, Role, Row
 from benchmarks.harness.verdict import verdict
+from napari_elsplus.cli.options import refuse_outputs
 from napari_elsplus.io import replacing
 
 if TYPE_CHECKING:
@@ -41,6 +42,20 @@ def write_csv(result: Result, path: Path, *, force: bool = False) -> None:
         (*(_cell(row, name) for name in names), *(row.details.get(name, "") for name in details)) for row in result.rows
     )
     write_rows(path, (*names, *details), rows, force=force)
+
+
+def results_in(folder: Path, *names: str, force: bool) -> list[Path]:
+    """Make a folder, and return the files of these names in it, which are to be written.
+
+    Raises
+    ------
+    InputError
+        If one exists and is not to be overwritten.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / name for name in names]
+    refuse_outputs(*files, force=force)
+    return files
 
 
 def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]], *, force: bool = False) -> None:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 import numpy as np
 
-from benchmarks.harness.table import write_rows
+from benchmarks.harness.table import results_in, write_rows
 from benchmarks.programs.start import COMMAND_LINE, HERE
-from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from napari_elsplus.cli.options import FILE, force_option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,9 +139,7 @@ def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
 @force_option
 def acquire(out: Path, runs: int, seconds: float, images: bool, force: bool) -> None:
     """Record and insert into a mosaic at 240 Hz, alone and beside a busy core; tabulate lateness and processor time."""
-    table = out / "acquire.csv"
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_outputs(table, force=force)
+    (table,) = results_in(out, "acquire.csv", force=force)
     rows: list[tuple[str, ...]] = []
     threads: list[dict[str, float]] = []
     click.echo("  ".join(TITLES))

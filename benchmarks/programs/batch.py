@@ -29,11 +29,11 @@ import numpy as np
 import psutil
 import tifffile
 
-from benchmarks.harness.table import write_rows
+from benchmarks.harness.table import results_in, write_rows
 from benchmarks.programs.batch_share import plain_job
 from benchmarks.programs.start import COMMAND_LINE
 from napari_elsplus.cli import main
-from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from napari_elsplus.cli.options import FILE, force_option
 from napari_elsplus.io import ImageMetadata, write_calibration, write_images
 from napari_elsplus.workflows.batch.job import RECORDS, open_output
 from napari_elsplus.workflows.batch.spans import SPANS
@@ -249,9 +249,7 @@ def differences(batch: Path, single: Path) -> list[str]:
 @force_option
 def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scratch: Path | None, force: bool) -> None:
     """Kill and resume a batch, compare it with single runs, and time one worker against two."""
-    table = out / "batch.csv"
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_outputs(table, force=force)
+    (table,) = results_in(out, "batch.csv", force=force)
     rows: list[tuple[str, int, Run]] = []
     with tempfile.TemporaryDirectory(dir=scratch) as made:
         source, output, single = (Path(made, name) for name in ("in", "out", "single"))

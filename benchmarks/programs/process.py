@@ -20,9 +20,9 @@ import click
 import numpy as np
 from rich.progress import track
 
-from benchmarks.harness.table import write_rows
+from benchmarks.harness.table import results_in, write_rows
 from benchmarks.programs.start import COMMAND_LINE, HERE
-from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from napari_elsplus.cli.options import FILE, force_option
 from napari_elsplus.io import RecordingWriter
 from napari_elsplus.io.disk import SpanWriter, write_at
 from napari_elsplus.io.stored_frames import RELEASED_BYTES
@@ -149,9 +149,7 @@ def _numbers(folder: Path, frames: int, turns: int) -> Iterator[float]:
 @force_option
 def process(out: Path, frames: int, turns: int, force: bool) -> None:
     """Process a long recording to ELS+; tabulate frames per second and memory, and the disk's own pace."""
-    table = out / "process.csv"
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_outputs(table, force=force)
+    (table,) = results_in(out, "process.csv", force=force)
     with tempfile.TemporaryDirectory(dir=out) as folder:
         row = [f"{number:.5g}" for number in _numbers(Path(folder), frames, turns)]
     write_rows(table, TITLES, [row], force=force)

@@ -18,8 +18,8 @@ import click
 import numpy as np
 from rich.progress import track
 
-from benchmarks.harness.table import write_rows
-from napari_elsplus.cli.options import FILE, force_option, refuse_outputs
+from benchmarks.harness.table import results_in, write_rows
+from napari_elsplus.cli.options import FILE, force_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -190,9 +190,7 @@ def measure(
 @force_option
 def start(out: Path, times: int, only: str, against: Path | None, force: bool) -> None:
     """Measure how long import, help, live images and the first mosaic take to start."""
-    table = out / "start.csv"
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_outputs(table, force=force)
+    (table,) = results_in(out, "start.csv", force=force)
     chosen = [each for each in STARTS if only in each.name]
     sources = {"here": HERE, **({} if against is None else {"against": against.resolve()})}
     with tempfile.TemporaryDirectory() as folder:

@@ -143,10 +143,11 @@ def test_the_command_writes_table_and_chart(bench_program, tmp_path: Path, monke
     monkeypatch.setattr(
         "benchmarks.imperfect.study.quick_cases", lambda: [case for case in quick_cases() if case.preset == "240hz"]
     )
-    run = bench_program("imperfect", "--quick", "--out", tmp_path)
+    folder = tmp_path / "new"
+    run = bench_program("imperfect", "--quick", "--out", folder)
     assert run.code == 0
-    with (tmp_path / "imperfect.csv").open(newline="") as file:
+    with (folder / "imperfect.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 1
-    assert (tmp_path / "imperfect.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "imperfect.png").read_bytes().startswith(b"\x89PNG")
     assert "aims are reached" in run.out
