@@ -81,13 +81,12 @@ def _with_lobes(lobes: int) -> Any:
 def _by_taps(count: int) -> Callable[[Case], Callable[[Views], Image]]:
     def prepare(case: Case) -> Callable[[Views], Image]:
         module = _with_lobes(count // 2)
-        resamplers = {id(item): module.Resampler(item.grid_to_frame, len(item.confocal)) for item in case.items}
+        positions = ((item, module.affine_positions(item.grid_to_frame, len(item.confocal))) for item in case.items)
+        resamplers = {id(item): module.Resampler(at) for item, at in positions}
 
         def resample(item: Views) -> Image:
             resampler = resamplers[id(item)]
-            (top, left), (rows, cols) = resampler.first, resampler.window.shape
-            resampler.window[:] = item.frame[top : top + rows, left : left + cols]
-            return np.asarray(resampler(np.empty_like(item.confocal)))
+            return np.asarray(resampler(resampler.window(item.frame), np.empty_like(item.confocal)))
 
         resample(case.items[0])  # compiles
         return resample

@@ -9,9 +9,9 @@ from scipy.interpolate import PchipInterpolator
 
 from napari_elsplus.processing.axial.axial_response import LEVEL_3DB, LEVEL_10DB, axial_response
 from napari_elsplus.processing.axial.profiles import SQUARE_UM, AxialProfiles, axial_profiles
+from napari_elsplus.processing.images.distortion import polynomial_terms
 from napari_elsplus.processing.images.row_power import RowPower
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner, disc
-from napari_elsplus.processing.images.warping import polynomial_terms
 from napari_elsplus.simulation.axial_scan import lit_for_plate
 from napari_elsplus.simulation.calibration_scenes import background
 from napari_elsplus.simulation.model.bundle import Cores

@@ -14,7 +14,7 @@ from napari_elsplus.hardware.priority import ordinary_priority
 from napari_elsplus.processing.analysis.saturation import saturated_part
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.processing.images.modes import elsa_pair
-from napari_elsplus.processing.images.resampling import resampled
+from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.workflows.sectioning import finishing
 
@@ -249,9 +249,8 @@ def _on_camera_grid(calibration: Calibration, sectioner: Sectioner) -> Calibrati
     flat = calibration.flat
     if flat is None or flat.shape != (sectioner.side, sectioner.side):
         return calibration
-    beyond = (sectioner.side - 1) / 2 - np.asarray(sectioner.centre)
-    shifted = resampled(flat, np.column_stack([np.eye(2), beyond]), sectioner.side)
-    return calibration.model_copy(update={"flat": shifted})
+    row, col = (sectioner.side - 1 - at for at in sectioner.centre)
+    return calibration.model_copy(update={"flat": cropped(flat, (row, col), sectioner.side)})
 
 
 def focus(image: NDArray[np.generic]) -> float:

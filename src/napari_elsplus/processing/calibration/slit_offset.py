@@ -26,8 +26,8 @@ from napari_elsplus.processing.calibration.line.clipping import MAX_CLIPPED_CORE
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.scatter import common_scatter_rows, relative_shifts
 from napari_elsplus.processing.calibration.line.view_offset import ViewOffset
+from napari_elsplus.processing.images.distortion import polynomial_terms
 from napari_elsplus.processing.images.row_reference import RowReference
-from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

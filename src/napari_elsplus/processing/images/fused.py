@@ -1,6 +1,6 @@
 """Fused sectioning: LS, residual and ELS+ of raw frames in one pass over the memory.
 
-It holds for views that are nearly parallel to the camera and wholly in the frame, as those of a bench are.
+It holds for views that are nearly parallel to the camera, as those of a bench are.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 _KEPT: Final = 64
 """Rows beyond a band's that are kept before they are moved; chosen: eight bands share one
 move."""
-SUBDIVISIONS: Final = 256
-"""Steps per grey level, in which the background is subtracted from frames of 8 bit; derived: two bytes hold it."""
 MAX_SLOPE: Final = MAX_EXPANSION_PX / (0.5 * BLOCK)
 """Largest rotation, rad: 0.86 degrees; derived: within a block the expansion of the weights holds."""
 MAX_STRETCH: Final = MAX_EXPANSION_PX / (0.5 * BLOCK)
@@ -69,7 +67,9 @@ class View:
 
 
 class FusedSections:
-    """Sectioning of frames in one pass, for two views that are nearly parallel to the camera and wholly in the frame.
+    """Sectioning of frames in one pass, for two views that are nearly parallel to the camera.
+
+    Beyond the frame its edge is continued.
 
     Parameters
     ----------
@@ -97,15 +97,12 @@ class FusedSections:
         frame_shape: tuple[int, int],
         factors: NDArray[np.float32] | None = None,
     ) -> None:
-        self._maps = grid_to_confocal, grid_to_residual
-        self._gain, self._side = residual_gain, len(inside)
+        side = len(inside)
+        self._views = View(grid_to_confocal, side, 1.0), View(grid_to_residual, side, 1 / residual_gain)
         self._extents = extents(inside)
         self._factors = _NOT_WANTED if factors is None else np.ascontiguousarray(factors, np.float32)
-        self._background = np.zeros(frame_shape, np.float32) if background is None else background
-        stepped = self._background * np.float32(SUBDIVISIONS)
-        np.rint(stepped, out=stepped)
-        self._stepped = stepped.astype(np.uint16) if stepped.min() >= 0 and stepped.max() < 2**16 else None
-        self._views: dict[float, tuple[View, View]] = {}
+        dark = np.zeros(frame_shape, np.float32) if background is None else background
+        self._background = np.ascontiguousarray(dark, np.float32)
 
     @staticmethod
     def fits(grid_to_frame: NDArray[np.float64], side: int) -> bool:
@@ -131,32 +128,24 @@ class FusedSections:
         els: NDArray[np.float32] | None,
     ) -> None:
         """Fill the images that are given, (n, n) float32, from the frames of the two views."""
-        steps = 1.0
-        background: NDArray[np.generic] = self._background
-        if raw.dtype == raw_residual.dtype == np.uint8 and self._stepped is not None:
-            steps, background = float(SUBDIVISIONS), self._stepped
-            raw, raw_residual = np.ascontiguousarray(raw), np.ascontiguousarray(raw_residual)
-        else:
-            same = raw_residual is raw
-            raw = np.ascontiguousarray(raw, np.float32)
-            raw_residual = raw if same else np.ascontiguousarray(raw_residual, np.float32)
-        if steps not in self._views:
-            confocal, aligned = self._maps
-            self._views[steps] = (
-                View(confocal, self._side, 1 / steps),
-                View(aligned, self._side, 1 / (steps * self._gain)),
-            )
-        views = self._views[steps]
+        kind = np.uint8 if raw.dtype == raw_residual.dtype == np.uint8 else np.float32
+        frame = np.ascontiguousarray(raw, kind)
+        next_frame = frame if raw_residual is raw else np.ascontiguousarray(raw_residual, kind)
         wanted = [_NOT_WANTED if image is None else image for image in (ls, residual, els)]
         filled = [image if image.flags.c_contiguous else np.empty_like(image, order="C") for image in wanted]
-        maps = views[0].arrays, views[1].arrays
-        at_whole_pixels = views[0].at_whole_pixels
+        confocal, aligned = self._views
         section_views(
-            raw, raw_residual, background, steps, *maps, at_whole_pixels, *self._extents, self._factors, *filled
-        )
+            frame, next_frame, self._background, confocal.arrays, aligned.arrays, confocal.at_whole_pixels,
+            *self._extents, self._factors, *filled,
+        )  # fmt: skip
         for image, made in zip(wanted, filled, strict=True):
             if made is not image:
                 np.copyto(image, made)
+
+    def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Fill the image (n, n) of the confocal view of a raw frame (rows, cols), and return it."""
+        self(raw, raw, out, None, None)
+        return out
 
 
 def extents(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

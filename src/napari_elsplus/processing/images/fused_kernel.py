@@ -50,8 +50,7 @@ _down_four_rows = interpolation(4, along_rows=True)
 def section_views(
     raw_confocal: NDArray[np.generic],
     raw_residual: NDArray[np.generic],
-    background: NDArray[np.generic],
-    steps: float,
+    background: NDArray[np.float32],
     confocal: ViewArrays,
     residual: ViewArrays,
     at_whole_pixels: bool,
@@ -69,9 +68,7 @@ def section_views(
     raw_confocal, raw_residual : numpy.ndarray
         (rows, cols) frames of the two views.
     background : numpy.ndarray
-        (rows, cols), in `steps` per grey level.
-    steps : float
-        Steps of the background per grey level, by which the factors of the views divide.
+        (rows, cols).
     confocal, residual : tuple of numpy.ndarray
         Arrays of the two views, :attr:`View.arrays`.
     at_whole_pixels : bool
@@ -90,11 +87,11 @@ def section_views(
     for row in range(0, side, BAND):
         if needs_confocal:
             if at_whole_pixels:
-                _copy_band(raw_confocal, background, steps, confocal, spans, row)
+                _copy_band(raw_confocal, background, confocal, spans, row)
             else:
-                _resample_band(raw_confocal, background, steps, confocal, blocks, row)
+                _resample_band(raw_confocal, background, confocal, blocks, row)
         if needs_residual:
-            _resample_band(raw_residual, background, steps, residual, blocks, row)
+            _resample_band(raw_residual, background, residual, blocks, row)
         for r in range(min(BAND, side - row)):
             first, last = spans[row + r, 0], spans[row + r, 1]
             for image in (ls, aligned, els):
@@ -134,14 +131,12 @@ def _copy(a: NDArray[np.float32], out: NDArray[np.float32]) -> None:
 @lean_kernel
 def _convert(
     raw: NDArray[np.generic],
-    background: NDArray[np.generic],
-    steps: float,
-    factor: float,
+    background: NDArray[np.float32],
     row: int,
     col: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Write pixels of a raw row from a column on, minus the background, times a factor; beyond the frame its edge."""
+    """Write pixels of a raw row from a column on, minus the background; beyond the frame its edge."""
     rows, cols = raw.shape
     count = len(out)
     nearest = min(max(row, 0), rows - 1)
@@ -152,23 +147,21 @@ def _convert(
         background[nearest, col + before : col + after],
         out[before:after],
     )
-    scale, by = np.float32(steps), np.float32(factor)
     line = _CACHE_LINE // raw.itemsize
     for c in range(col + before, col + after + line - 1, line):
         prefetch(raw, nearest + _ROWS_AHEAD, c)
     for t in range(len(seen)):
-        seen[t] = (np.float32(pixels[t]) * scale - np.float32(dark[t])) * by
+        seen[t] = np.float32(pixels[t]) - dark[t]
     if before > 0:
-        out[:before] = (np.float32(raw[nearest, 0]) * scale - np.float32(background[nearest, 0])) * by
+        out[:before] = np.float32(raw[nearest, 0]) - background[nearest, 0]
     if after < count:
-        out[after:] = (np.float32(raw[nearest, cols - 1]) * scale - np.float32(background[nearest, cols - 1])) * by
+        out[after:] = np.float32(raw[nearest, cols - 1]) - background[nearest, cols - 1]
 
 
 @lean_kernel
 def _copy_band(
     raw: NDArray[np.generic],
-    background: NDArray[np.generic],
-    steps: float,
+    background: NDArray[np.float32],
     view: ViewArrays,
     spans: NDArray[np.int64],
     row: int,
@@ -179,14 +172,13 @@ def _copy_band(
     for r in range(min(BAND, len(spans) - row)):
         first, last = spans[row + r, 0], spans[row + r, 1]
         out = memory[r * WIDTH + first : r * WIDTH + last]
-        _convert(raw, background, steps, 1 / steps, top + row + r, left + first, out)
+        _convert(raw, background, top + row + r, left + first, out)
 
 
 @lean_kernel
 def _resample_band(
     raw: NDArray[np.generic],
-    background: NDArray[np.generic],
-    steps: float,
+    background: NDArray[np.float32],
     view: ViewArrays,
     blocks: NDArray[np.int64],
     row: int,
@@ -195,7 +187,7 @@ def _resample_band(
     affine, sizes, _, weights, memory = view
     row_0, per_row, per_col = affine[0], affine[1], affine[2]
     kept = WIDTH * BAND
-    _resample_along_columns(raw, background, steps, view, blocks, row)
+    _resample_along_columns(raw, background, view, blocks, row)
     top = sizes[1]
     slope = np.float32(per_col)
     shared = 4 if abs(per_row - 1) * 1.5 <= _MAX_SHARED_PX else 1
@@ -216,8 +208,7 @@ def _resample_band(
 @lean_kernel
 def _resample_along_columns(
     raw: NDArray[np.generic],
-    background: NDArray[np.generic],
-    steps: float,
+    background: NDArray[np.float32],
     view: ViewArrays,
     blocks: NDArray[np.int64],
     row: int,
@@ -252,15 +243,8 @@ def _resample_along_columns(
         right = min(int(at_0 + per_col_across * end * BLOCK) + LOBES + 3, left + LINE)
         if end > begin:
             for r in range(2):
-                _convert(
-                    raw,
-                    background,
-                    steps,
-                    1.0,
-                    y + r,
-                    left,
-                    memory[lines + r * LINE : lines + r * LINE + right - left],
-                )
+                line = lines + r * LINE
+                _convert(raw, background, y + r, left, memory[line : line + right - left])
         for q in range(begin, end):
             at = at_0 + per_col_across * (q * BLOCK)
             to = kept + WIDTH * made + q * BLOCK

@@ -1,4 +1,4 @@
-"""Resampling through an affine map by a windowed sinc, which preserves the contrast of the core pattern.
+"""Resampling by a windowed sinc, which preserves the contrast of the core pattern.
 
 A bundle is sampled by as few as 2.4 pixels per core, so that the core pattern lies at 0.48 cycles per pixel. Linear
 interpolation by half a pixel leaves 6 % of it, and two views that are interpolated by different fractions then differ
@@ -7,8 +7,7 @@ by their core patterns. A Kaiser-windowed sinc of twelve taps is within 0.5 % up
 
 from __future__ import annotations
 
-from math import ceil, floor
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import cv2
 import numpy as np
@@ -18,8 +17,9 @@ from napari_elsplus.processing.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Part = tuple[slice, slice]
+    Floats = NDArray[np.float64]
 
+Pixel = TypeVar("Pixel", bound=np.generic)
 
 LOBES: Final = 6
 """Taps on each side of a point; derived: with six the kernel is within 0.5 % up to 0.35 cycles per pixel."""
@@ -27,9 +27,6 @@ _KAISER_BETA: Final = 5.0
 """Shape of the Kaiser window; chosen: near 5 the pass band is flat to 0.5 %."""
 PHASES: Final = 256
 """Number of tabulated fractions of a pixel; derived: half a step is an error of 0.002 px."""
-_MAX_DEVIATION_PX: Final = 0.06
-"""Largest distance of a pixel from the centre of its block, at which weights are taken, pixels; derived: the
-first-order correction then leaves an error of 1.6 % of the core pattern."""
 
 
 def taps(fraction: NDArray[np.floating] | float) -> NDArray[np.float32]:
@@ -55,17 +52,6 @@ def taps(fraction: NDArray[np.floating] | float) -> NDArray[np.float32]:
     weights = np.sinc(distance) * window
     normalised: NDArray[np.float32] = (weights / weights.sum(axis=-1, keepdims=True)).astype(np.float32)
     return normalised
-
-
-def tabulated_taps(beyond_px: float = 0.0) -> NDArray[np.float32]:
-    """Return the interpolation weights at all tabulated fractions, or some way beyond each, (257, 12) float32.
-
-    Parameters
-    ----------
-    beyond_px : float
-        Distance from the fractions, pixels.
-    """
-    return taps(np.arange(PHASES + 1) / PHASES + beyond_px)
 
 
 def crop_to_frame(centre: tuple[float, float], side: int) -> NDArray[np.float64]:
@@ -113,130 +99,85 @@ def within_frame(grid_to_frame: NDArray[np.float64], side: int, frame_shape: tup
     >>> within_frame(np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), 2, (9, 9)).tolist()
     [[False, False], [True, True]]
     """
-    at, within = np.arange(side), np.ones((side, side), bool)
-    corners = grid_to_frame @ np.array([(0, 0, 1), (0, side - 1, 1), (side - 1, 0, 1), (side - 1, side - 1, 1)]).T
-    if (corners >= 0).all() and (corners <= np.reshape(frame_shape, (2, 1)) - 1).all():
-        return within
-    for (by_row, by_col, start), size in zip(grid_to_frame, frame_shape, strict=True):
-        points = (by_row * at + start)[:, None] + by_col * at
-        within &= (points >= 0) & (points <= size - 1)
+    positions = affine_positions(grid_to_frame, side)
+    within: NDArray[np.bool_] = np.all((positions >= 0) & (positions <= np.reshape(frame_shape, (2, 1, 1)) - 1), axis=0)
     return within
 
 
-def overlap(first: tuple[int, int], window_shape: tuple[int, ...], image_shape: tuple[int, ...]) -> tuple[Part, Part]:
-    """Return the slices of an image, and of a window of it, in which both lie; empty where they do not overlap.
-
-    Parameters
-    ----------
-    first : tuple of int
-        Row and column of the image at which the window begins; may be negative.
-    window_shape, image_shape : tuple of int
-        Rows and columns of each.
-
-    Examples
-    --------
-    >>> overlap((-2, 3), (4, 4), (9, 5))
-    ((slice(0, 2, None), slice(3, 5, None)), (slice(2, 4, None), slice(0, 2, None)))
-    """
-    parts = []
-    for start, size, limit in zip(first, window_shape, image_shape, strict=True):
-        low = max(start, 0)
-        high = max(min(start + size, limit), low)
-        parts.append((slice(low, high), slice(low - start, high - start)))
-    (rows, in_rows), (cols, in_cols) = parts
-    return (rows, cols), (in_rows, in_cols)
-
-
-class WindowedResampler:
-    """Resampling of the part of an image that some points need.
-
-    Parameters
-    ----------
-    low, high : numpy.ndarray
-        (2,) smallest and largest row and column of the points.
-
-    Attributes
-    ----------
-    first : tuple of int
-        Row and column of the image at which the window begins; may be negative.
-    window : numpy.ndarray
-        (rows, cols) float32: part of the image that is needed, to be filled in before each call.
-    """
-
-    def __init__(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-        self.first = floor(low[0]) - LOBES, floor(low[1]) - LOBES
-        rows, cols = (ceil(b) + LOBES + 2 - a for a, b in zip(self.first, high, strict=True))
-        self.window = np.zeros((rows, cols), np.float32)
-
-    def filled(self, image: NDArray[np.float32]) -> Self:
-        """Fill the window, which is zero, with an image (rows, cols) float32 as far as that reaches; return self."""
-        in_image, in_window = overlap(self.first, self.window.shape, image.shape)
-        self.window[in_window] = image[in_image]
-        return self
-
-
-class Resampler(WindowedResampler):
-    """Resampling of images through one affine map; buffers are reused.
-
-    The map is applied in two passes, along the rows and then along the columns. Along the direction that is not
-    resampled, the fraction of a pixel changes only by the map's small rotation: a block of pixels shares its weights,
-    corrected to first order, so that the innermost loops are plain sums of contiguous rows.
+def affine_positions(grid_to_image: Floats, side: int) -> Floats:
+    """Return where an affine map puts the pixels of a square grid, (2, side, side): row and column in the image.
 
     Parameters
     ----------
     grid_to_image : numpy.ndarray
-        (2, 3): maps (row, col, 1) on the grid to (row, col) in the image. Near the identity in scale and rotation.
+        (2, 3): maps (row, col, 1) on the grid to (row, col) in the image.
     side : int
         Rows and columns of the grid.
     """
+    at = np.arange(side)
+    return np.stack([(by_row * at + start)[:, None] + by_col * at for by_row, by_col, start in grid_to_image])
 
-    def __init__(self, grid_to_image: NDArray[np.float64], side: int) -> None:
-        corners = np.array([(r, c, 1.0) for r in (0, side - 1) for c in (0, side - 1)]) @ grid_to_image.T
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        super().__init__(low, high)
-        rows, cols = self.window.shape
-        self._window_across = np.empty((cols, rows), np.float32)
-        self._resampled_across = np.empty((side, rows), np.float32)
-        self._resampled = np.empty((rows, side), np.float32)
-        (a, b, r0), (c, d, c0) = grid_to_image
-        shear = c / a
-        self._across = (c0 - self.first[1] - shear * (r0 - self.first[0]), d - shear * b, shear)
-        self._down = (r0 - self.first[0], a, b)
-        step = 1e-3
-        self._table = tabulated_taps()
-        self._derivative = (tabulated_taps(step) - tabulated_taps(-step)) / np.float32(2 * step)
 
-    def __call__(self, out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Resample the content of the window into `out`, (side, side) float32, and return it."""
-        cv2.transpose(self.window, dst=self._window_across)
-        _resample_down(self._window_across, *self._across, self._table, self._derivative, self._resampled_across)
-        cv2.transpose(self._resampled_across, dst=self._resampled)
-        _resample_down(self._resampled, *self._down, self._table, self._derivative, out)
+class Resampler:
+    """Resampling of images at tabulated positions, along their rows and then along their columns.
+
+    Each pixel has weights of its own. Beyond an image its edge is continued.
+
+    Parameters
+    ----------
+    positions : numpy.ndarray
+        (2, n, n): row and column in the image of each pixel of the grid. Rows grow with rows, columns with columns.
+    """
+
+    def __init__(self, positions: Floats) -> None:
+        first = np.floor(positions.min(axis=(1, 2))).astype(int) - LOBES
+        stop = np.ceil(positions.max(axis=(1, 2))).astype(int) + LOBES + 2
+        self._rows, self._cols = (np.arange(*ends) for ends in zip(first, stop, strict=True))
+        rows, cols = len(self._rows), len(self._cols)
+        down, across = (at - start for at, start in zip(positions, first, strict=True))
+        side = down.shape[1]
+        crossing = np.empty((rows, side))
+        for c in range(side):
+            crossing[:, c] = np.interp(np.arange(rows), down[:, c], across[:, c])
+        left, self._left_phase = _split(crossing, cols)
+        top, self._top_phase = _split(down, rows)
+        self._left = left + cols * np.arange(rows, dtype=np.int32)[:, None]
+        self._top = side * top + np.arange(side, dtype=np.int32)
+        self._between = np.empty((rows, side), np.float32)
+        self._table = taps(np.arange(PHASES + 1) / PHASES)
+
+    def window(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
+        """Return the part of an image (rows, cols) that is needed."""
+        return _window(image, self._rows, self._cols)
+
+    def __call__(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Resample a window of an image, float32, into `out`, (n, n) float32, and return it."""
+        _interpolate(window.ravel(), self._left, 1, self._left_phase, self._table, self._between)
+        _interpolate(self._between.ravel(), self._top, self._between.shape[1], self._top_phase, self._table, out)
         return out
 
 
-def resampled(image: NDArray[np.float32], grid_to_image: NDArray[np.float64], side: int) -> NDArray[np.float32]:
-    """Resample one image once; pixels outside of the image are zero.
+def resampled(image: NDArray[np.float32], positions: Floats) -> NDArray[np.float32]:
+    """Resample one image once at positions; beyond the image its edge is continued.
 
     Parameters
     ----------
     image : numpy.ndarray
         (rows, cols) float32.
-    grid_to_image : numpy.ndarray
-        (2, 3), as in :class:`Resampler`.
-    side : int
-        Rows and columns of the grid.
+    positions : numpy.ndarray
+        (2, n, n), as in :class:`Resampler`.
 
     Returns
     -------
     numpy.ndarray
-        (side, side) float32.
+        (n, n) float32.
     """
-    return Resampler(grid_to_image, side).filled(image)(np.empty((side, side), np.float32))
+    resampler = Resampler(positions)
+    return resampler(resampler.window(image), np.empty(positions.shape[1:], np.float32))
 
 
 def cropped(image: NDArray[np.float32], centre: tuple[float, float], side: int) -> NDArray[np.float32]:
-    """Resample a square crop about a place in an image; pixels outside of the image are zero.
+    """Resample a square crop about a place in an image; beyond the image its edge is continued.
 
     Parameters
     ----------
@@ -252,45 +193,39 @@ def cropped(image: NDArray[np.float32], centre: tuple[float, float], side: int) 
     numpy.ndarray
         (side, side) float32.
     """
-    return resampled(image, crop_to_frame(centre, side), side)
+    start = np.subtract(centre, (side - 1) / 2)
+    pixel = np.floor(start).astype(int)
+    window = _window(image, *(pixel[:, None] + np.arange(1 - LOBES, side + LOBES)))
+    down, across = taps(start - pixel)
+    return np.asarray(cv2.sepFilter2D(window, -1, across, down)[LOBES : LOBES + side, LOBES : LOBES + side], np.float32)
+
+
+def _window(image: NDArray[Pixel], rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[Pixel]:
+    """Return rows and columns of an image, beyond which its edge is continued."""
+    inside = (np.clip(at, 0, size - 1) for at, size in zip((rows, cols), image.shape, strict=True))
+    return image[np.ix_(*inside)]
+
+
+def _split(at: Floats, size: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the first of the twelve pixels from which each sample is interpolated, and its tabulated fraction."""
+    whole = np.floor(at)
+    first = np.clip(whole - LOBES + 1, 0, size - 2 * LOBES).astype(np.int32)
+    return first, ((at - whole) * PHASES + 0.5).astype(np.int32)
 
 
 @kernel
-def _resample_down(
-    image: NDArray[np.float32],
-    start: float,
-    per_row: float,
-    per_col: float,
+def _interpolate(
+    pixels: NDArray[np.float32],
+    first: NDArray[np.int32],
+    step: int,
+    phase: NDArray[np.int32],
     table: NDArray[np.float32],
-    derivative: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Interpolate each column of an image at rows start + per_row * (row of out) + per_col * column."""
-    rows, cols = image.shape
-    block = cols
-    if abs(per_col) * cols > 2 * _MAX_DEVIATION_PX:
-        block = max(1, int(2 * _MAX_DEVIATION_PX / abs(per_col)))
-    slope = np.float32(per_col)
+    """Interpolate among twelve of some pixels for every sample, from the first of them and a step apart."""
     for r in range(out.shape[0]):
-        for first in range(0, cols, block):
-            last = min(first + block, cols)
-            half = np.float32(0.5 * (last - first - 1))
-            at = start + per_row * r + per_col * 0.5 * (first + last - 1)
-            whole = int(np.floor(at))
-            phase = int((at - whole) * PHASES + 0.5)
-            top = min(max(whole - LOBES + 1, 0), rows - 2 * LOBES)
-            total = out[r, first:last]
-            for k in range(0, 2 * LOBES, 4):
-                x0, x1 = image[top + k, first:last], image[top + k + 1, first:last]
-                x2, x3 = image[top + k + 2, first:last], image[top + k + 3, first:last]
-                d0, d1 = slope * derivative[phase, k], slope * derivative[phase, k + 1]
-                d2, d3 = slope * derivative[phase, k + 2], slope * derivative[phase, k + 3]
-                w0, w1 = table[phase, k] - half * d0, table[phase, k + 1] - half * d1
-                w2, w3 = table[phase, k + 2] - half * d2, table[phase, k + 3] - half * d3
-                if k == 0:
-                    total[:] = 0
-                for c in range(total.shape[0]):
-                    t = np.float32(np.int32(c))  # of 32 bits, which are converted in vectors
-                    total[c] += ((w0 + t * d0) * x0[c] + (w1 + t * d1) * x1[c]) + (
-                        (w2 + t * d2) * x2[c] + (w3 + t * d3) * x3[c]
-                    )
+        for c in range(out.shape[1]):
+            total = np.float32(0)
+            for k in range(2 * LOBES):
+                total += table[phase[r, c], k] * pixels[first[r, c] + k * step]
+            out[r, c] = total

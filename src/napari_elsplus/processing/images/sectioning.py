@@ -14,20 +14,24 @@ import numpy as np
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.instrument.frame_region import require_frame_shape
+from napari_elsplus.processing.images.distortion import polynomial_terms
 from napari_elsplus.processing.images.fused import FusedSections
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.modes import Frames as Frames
 from napari_elsplus.processing.images.modes import Mode as Mode
-from napari_elsplus.processing.images.resampling import Resampler, overlap, within_frame
+from napari_elsplus.processing.images.resampling import Resampler, affine_positions, within_frame
 from napari_elsplus.processing.images.residual_gain import inverse_gain_map
 from napari_elsplus.processing.images.row_reference import reference_of_rows
-from napari_elsplus.processing.images.warping import WarpedResampler, polynomial_terms
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import BundleSection, Calibration
 
+    View = Callable[[NDArray[np.generic], NDArray[np.float32]], NDArray[np.float32]]
+    """Fills an image (n, n) from a raw frame (rows, cols), and returns it."""
 
 LINE_FIELD: Final = 0.96
 """Part of the bundle's diameter in which the residual's line must stand where the frame cuts the views; measured on two
@@ -130,44 +134,50 @@ class Sectioner:
         self.centre = float(row), float(col)
         residual_to_confocal = np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)])
         grid_to_residual = np.linalg.solve(residual_to_confocal, grid_to_confocal)
-        confocal_seen, residual_seen = (
-            within_frame(affine[:2], self.side, frame_shape) for affine in (grid_to_confocal, grid_to_residual)
-        )
+        maps = grid_to_confocal[:2], grid_to_residual[:2]
+        confocal_seen, residual_seen = (within_frame(each, self.side, frame_shape) for each in maps)
+        if not (confocal_seen.any() and residual_seen.any()):
+            raise CalibrationError(
+                f"a bundle view lies outside of the {frame_shape[0]} x {frame_shape[1]} frame",
+                "locate the bundle views again",
+            )
         self.seen = confocal_seen & residual_seen
         whole = bool(np.all(self.seen >= self.inside))
         self.subtracted = self.seen if whole else self.seen & _line_within_bundle(calibration, self.side)
+        self._beyond_frame = None if whole else ~confocal_seen
         self._hot_pixels = HotPixels(calibration.background)
         self._rows = reference_of_rows(calibration, frame_shape, row_test_interval) if row_reference else None
         background = None if calibration.background is None else self._hot_pixels.mended(calibration.background)
-        relative = inverse_gain_map(calibration, self.centre, self.side)
-        maps = grid_to_confocal[:2], grid_to_residual[:2]
+        factors = inverse_gain_map(calibration, self.centre, self.side)
+        if not whole:
+            unknown = np.where(self.inside & ~self.subtracted, np.float32(np.nan), np.float32(1))
+            factors = unknown if factors is None else factors * unknown
+        fits = [FusedSections.fits(each, self.side) for each in maps]
         self._views: FusedSections | _Views
-        if whole and calibration.distortion is None and all(FusedSections.fits(each, self.side) for each in maps):
-            self._views = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape, relative)
+        if all(fits) and calibration.distortion is None:
+            self._views = FusedSections(*maps, bundle.residual_gain, self.inside, background, frame_shape, factors)
             return
-        confocal_brightness = (self.inside & confocal_seen).astype(np.float32)
-        residual_brightness = self.inside.astype(np.float32) / np.float32(bundle.residual_gain)
-        if relative is not None:
-            residual_brightness *= relative
-        residual_brightness[self.inside & ~self.subtracted] = np.nan
-        residual_resampler = self._residual_resampler(calibration, maps[1])
+        inside = self.inside.astype(np.float32)
+        positions = self._residual_positions(calibration, maps[1])
+        brightness = inside / np.float32(bundle.residual_gain) * (1 if factors is None else factors)
         self._views = _Views(
-            _View(Resampler(maps[0], self.side), confocal_brightness, frame_shape, background),
-            _View(residual_resampler, residual_brightness, frame_shape, background),
+            FusedSections(maps[0], maps[0], 1.0, self.inside, background, frame_shape).ls
+            if fits[0]
+            else _View(affine_positions(maps[0], self.side), inside, background),
+            _View(positions, brightness, background),
         )
 
-    def _residual_resampler(
+    def _residual_positions(
         self, calibration: Calibration, grid_to_residual: NDArray[np.float64]
-    ) -> Resampler | WarpedResampler:
-        """Return the resampling of the residual view: affine, or with the calibration's distortion."""
+    ) -> NDArray[np.float64]:
+        """Return where the residual view lies in the frame, (2, n, n): affine, with its distortion."""
+        positions = affine_positions(grid_to_residual, self.side)
         if calibration.distortion is None:
-            return Resampler(grid_to_residual, self.side)
+            return positions
         rows, cols = np.mgrid[: self.side, : self.side].astype(np.float64)
         unit = self.diameter_px / 2
         terms = polynomial_terms((rows - self.centre[0]) / unit, (cols - self.centre[1]) / unit)
-        points = np.stack([rows, cols, np.ones_like(rows)])
-        affine = np.tensordot(grid_to_residual, points, 1)
-        return WarpedResampler(affine + np.tensordot(calibration.distortion, terms, 1))
+        return positions + np.tensordot(calibration.distortion, terms, 1)
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the confocal view of a raw frame.
@@ -217,6 +227,8 @@ class Sectioner:
         raw = self._mended(raw)
         raw_residual = raw if same else self._mended(raw_residual)
         self._views(raw, raw_residual, ls, residual, els)
+        if ls is not None and self._beyond_frame is not None:
+            ls[self._beyond_frame] = 0
 
     def retest_row_noise(self) -> None:
         """Test the next frame for row noise, however many frames ago the last test was."""
@@ -258,51 +270,25 @@ class Sectioner:
 
 
 class _View:
-    """One of the two bundle views: its window of the frame, and its resampling onto the common grid."""
+    """A bundle view at any positions of the frame, resampled onto the common grid and multiplied by a brightness."""
 
     def __init__(
-        self,
-        resampler: Resampler | WarpedResampler,
-        brightness: NDArray[np.float32],
-        frame_shape: tuple[int, int],
-        background: NDArray[np.float32] | None,
+        self, positions: NDArray[np.float64], brightness: NDArray[np.float32], background: NDArray[np.float32] | None
     ) -> None:
-        self.brightness = brightness
-        self._resampler = resampler
-        self._in_frame, in_window = overlap(resampler.first, resampler.window.shape, frame_shape)
-        self._on_sensor = resampler.window[in_window]
-        if not self._on_sensor.size:
-            raise CalibrationError(
-                f"a bundle view lies outside of the {frame_shape[0]} x {frame_shape[1]} frame",
-                "locate the bundle views again",
-            )
-        self._background = None if background is None else np.ascontiguousarray(background[self._in_frame], np.float32)
-        self._cut = self._on_sensor.shape != resampler.window.shape
-        self._top_left = in_window[0].start, in_window[1].start
+        self._brightness, self._resampler = brightness, Resampler(positions)
+        self._background = np.float32(0) if background is None else self._resampler.window(background)
 
-    def extract(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
-        if self._background is None:
-            self._on_sensor[...] = raw[self._in_frame]
-        else:
-            np.subtract(raw[self._in_frame], self._background, out=self._on_sensor, casting="unsafe")
-        if self._cut:
-            self._continue_edges()
-        return np.multiply(self._resampler(out), self.brightness, out=out)
-
-    def _continue_edges(self) -> None:
-        """Repeat the frame's outermost pixels beyond its edge, so that interpolation beside it stays unbiased."""
-        window, (top, left), (rows, cols) = self._resampler.window, self._top_left, self._on_sensor.shape
-        window[top : top + rows, :left] = self._on_sensor[:, :1]
-        window[top : top + rows, left + cols :] = self._on_sensor[:, -1:]
-        window[:top], window[top + rows :] = window[top], window[top + rows - 1]
+    def __call__(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Fill an image (n, n) from a raw frame (rows, cols), and return it."""
+        window = np.subtract(self._resampler.window(raw), self._background, dtype=np.float32)
+        return np.multiply(self._resampler(window, out), self._brightness, out=out)
 
 
 class _Views:
-    """The two bundle views, resampled one after the other: for any geometry."""
+    """The two bundle views, one after the other: for any geometry."""
 
-    def __init__(self, confocal: _View, residual: _View) -> None:
+    def __init__(self, confocal: View, residual: View) -> None:
         self._confocal, self._residual = confocal, residual
-        self._scratch = np.empty_like(confocal.brightness)
 
     def __call__(
         self,
@@ -316,9 +302,9 @@ class _Views:
         if ls is None and els is not None:
             ls = els
         if ls is not None:
-            self._confocal.extract(raw, ls)
+            self._confocal(raw, ls)
         if residual is not None or els is not None:
-            residual = self._residual.extract(raw_residual, self._scratch if residual is None else residual)
+            residual = self._residual(raw_residual, np.empty_like(els) if residual is None else residual)
         if els is not None:
             np.subtract(ls, residual, out=els)  # type: ignore[arg-type]
 

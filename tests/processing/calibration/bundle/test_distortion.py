@@ -16,7 +16,7 @@ from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.measurements import measure_pair
 from napari_elsplus.processing.calibration.sections import apply_pair
-from napari_elsplus.processing.images.warping import polynomial_terms
+from napari_elsplus.processing.images.distortion import polynomial_terms
 
 SEEDS = (1, 2)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel, affine_map, nearest_affine
-from napari_elsplus.processing.images.warping import POWERS, polynomial_terms
+from napari_elsplus.processing.images.distortion import POWERS, polynomial_terms
 
 RADIUS_PX = 95.0
 

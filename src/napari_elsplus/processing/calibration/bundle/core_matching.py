@@ -17,8 +17,8 @@ from scipy.linalg import null_space
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence, information_criterion
 from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel, affine_map, nearest_affine
+from napari_elsplus.processing.images.distortion import polynomial_terms
 from napari_elsplus.processing.images.resampling import cropped, resampled
-from napari_elsplus.processing.images.warping import polynomial_terms, warped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -271,12 +271,8 @@ class CoreMatcher:
         coefficients : numpy.ndarray
             (2, 10) map from the confocal to the residual view.
         """
-        if coefficients[:, 3:].any():
-            centre = np.reshape(self._residual_centre, (2, 1, 1))
-            return warped(image, np.tensordot(coefficients, self.terms, 1) + centre)
-        matrix = coefficients[:, 1:3] / self.radius_px
-        first = np.array(self._residual_centre) + coefficients[:, 0] - matrix @ np.full(2, (self.side - 1) / 2)
-        return resampled(image, np.column_stack([matrix, first]), self.side)
+        centre = np.reshape(self._residual_centre, (2, 1, 1))
+        return resampled(image, np.tensordot(coefficients, self.terms, 1) + centre)
 
     def rms_px(self, displacement: Floats) -> float:
         """Return the root mean square length of a displacement over the compared disc.

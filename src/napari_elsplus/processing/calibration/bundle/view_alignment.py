@@ -25,8 +25,8 @@ from napari_elsplus.processing.calibration.bundle.gain import measure_gain
 from napari_elsplus.processing.calibration.bundle.location import MIN_CERTAIN_EDGE, Disc
 from napari_elsplus.processing.calibration.bundle.view_maps import DISTORTED, UNDISTORTED, ViewModel, affine_map
 from napari_elsplus.processing.images.cores import core_pitch_px
+from napari_elsplus.processing.images.distortion import polynomial_terms
 from napari_elsplus.processing.images.resampling import cropped
-from napari_elsplus.processing.images.warping import polynomial_terms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

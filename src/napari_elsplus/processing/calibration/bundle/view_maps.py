@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.images.warping import POWERS
+from napari_elsplus.processing.images.distortion import POWERS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
