@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.tracking.front_end.grid import Grid
 
     Floats = NDArray[np.float64]
+    Part = tuple[slice, slice]
 
 MIN_OVERLAP: Final = 0.1
 """Fraction of a frame's weight that must overlap the mosaic for a gain to be estimated; chosen."""
@@ -191,10 +192,28 @@ def _shared(
     lit: NDArray[np.bool_], one: NDArray[np.float32], other: NDArray[np.float32], down: int, across: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the lit pixels that two frames share, of both; the other one lies some pixels further down and across."""
-    rows, cols = lit.shape
-    if abs(down) >= rows or abs(across) >= cols:
-        return one[:0, 0], other[:0, 0]
-    here = np.s_[max(0, down) : rows + min(0, down), max(0, across) : cols + min(0, across)]
-    there = np.s_[max(0, -down) : rows - max(0, down), max(0, -across) : cols - max(0, across)]
+    here, there = shared_parts(len(lit), down, across)
     both = lit[here] & lit[there]
     return one[here][both], other[there][both]
+
+
+def shared_parts(side: int, down: int, across: int) -> tuple[Part, Part]:
+    """Return the slices of what two frames share, in the first one and in the second.
+
+    Parameters
+    ----------
+    side : int
+        Rows and columns of a frame.
+    down, across : int
+        Rows and columns by which the second one lies further.
+
+    Examples
+    --------
+    >>> shared_parts(9, 2, -1)
+    ((slice(2, 9, None), slice(0, 8, None)), (slice(0, 7, None), slice(1, 9, None)))
+    """
+
+    def kept(by: int) -> slice:
+        return slice(max(0, by), max(0, side + min(0, by)))
+
+    return (kept(down), kept(across)), (kept(-down), kept(-across))

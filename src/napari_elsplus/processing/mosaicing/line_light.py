@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 import numpy as np
 
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
-from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.mosaicing.exposure import ROW_STEP
+from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, shared_parts
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 
 if TYPE_CHECKING:
@@ -152,7 +151,8 @@ def _compare(
     waves = [_cosines(columns, grid.centre[1], extent, TERMS), _cosines(columns, grid.centre[0], extent, SCAN_TERMS)]
     blocks = -(-grid.side // BLOCK_PX)
     sums = np.zeros((2, len(pairs), 5, blocks * BLOCK_PX))
-    _sum_overlaps(images, members, moves, first, last, *sums)
+    for pair, move in enumerate(moves):
+        sums[:, pair, :, : grid.side] = _overlap_sums(images[members[pair]], lit, move)
     sums = sums.reshape(2, len(pairs), 5, blocks, BLOCK_PX).sum(axis=-1)
     parts = [_ratios(each) for each in sums]
     designs = [
@@ -221,7 +221,7 @@ def _ratios(sums: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats, F
     Parameters
     ----------
     sums : numpy.ndarray
-        (pairs, 5, blocks), of :func:`_sum_overlaps`.
+        (pairs, 5, blocks), of :func:`_overlap_sums`.
     """
     pair, block = np.nonzero(sums[:, 0] >= MIN_PIXELS)
     pixels, *moments = sums[pair, :, block].T
@@ -251,8 +251,7 @@ def _changes(waves: list[Floats], lit: NDArray[np.bool_], move: NDArray[np.int64
     side = len(lit)
     down, across = (int(each) for each in move)
     overlap = np.zeros_like(lit)
-    to = np.s_[max(0, down) : min(side, side + down), max(0, across) : min(side, side + across)]
-    back = np.s_[max(0, -down) : min(side, side - down), max(0, -across) : min(side, side - across)]
+    to, back = shared_parts(side, down, across)
     overlap[to] = lit[to] & lit[back]
     line, scan = (
         wave - wave[np.clip(np.arange(side) - by, 0, side - 1)] for wave, by in zip(waves, (across, down), strict=True)
@@ -355,46 +354,30 @@ def _fit(
     )
 
 
-@lean_kernel
-def _sum_overlaps(
-    images: NDArray[np.float32],
-    members: NDArray[np.int64],
-    moves: NDArray[np.int64],
-    first: NDArray[np.int32],
-    last: NDArray[np.int32],
-    by_column: Floats,
-    by_row: Floats,
-) -> None:
-    """Sum pixels, grey levels and their squares over what the images of each pair share.
+def _overlap_sums(pair: NDArray[np.float32], lit: NDArray[np.bool_], move: NDArray[np.int64]) -> Floats:
+    """Return pixels, grey levels and their squares of what two images share, by columns and by rows of the first.
 
     Parameters
     ----------
-    images : numpy.ndarray
-        (frames, side, side) float32.
-    members, moves : numpy.ndarray
-        (pairs, 2): numbers of the images; rows and columns by which the second one's frame lies further.
-    first, last : numpy.ndarray
-        Of :meth:`Grid.spans`.
-    by_column, by_row : numpy.ndarray
-        (pairs, 5, side or more) zeros: filled with pixels, grey levels and squares of the first, of the second, by
-        columns and by rows of the first.
+    pair : numpy.ndarray
+        (2, side, side) float32: both images.
+    lit : numpy.ndarray
+        (side, side) bool: the field.
+    move : numpy.ndarray
+        Rows and columns by which the second one lies further.
+
+    Returns
+    -------
+    numpy.ndarray
+        (2, 5, side): pixels, grey levels and squares of the first, of the second.
     """
-    side = len(first)
-    for pair in range(len(members)):
-        one, two, down, across = members[pair, 0], members[pair, 1], moves[pair, 0], moves[pair, 1]
-        for r in range(max(0, down), min(side, side + down), ROW_STEP):
-            begin, end = max(first[r], first[r - down] + across), min(last[r], last[r - down] + across)
-            here, there = images[one, r, begin:end], images[two, r - down, begin - across : end - across]
-            pixels, light, squares = by_column[pair, 0], by_column[pair, 1], by_column[pair, 2]
-            other_light, other_squares = by_column[pair, 3], by_column[pair, 4]
-            for c in range(end - begin):
-                pixels[begin + c] += 1
-                light[begin + c] += here[c]
-                squares[begin + c] += here[c] * here[c]
-                other_light[begin + c] += there[c]
-                other_squares[begin + c] += there[c] * there[c]
-                by_row[pair, 0, r] += 1
-                by_row[pair, 1, r] += here[c]
-                by_row[pair, 2, r] += here[c] * here[c]
-                by_row[pair, 3, r] += there[c]
-                by_row[pair, 4, r] += there[c] * there[c]
+    side = len(lit)
+    to, back = shared_parts(side, *move.tolist())
+    both = lit[to] & lit[back]
+    both[1::ROW_STEP] = False
+    here, there = np.where(both, pair[0][to], 0), np.where(both, pair[1][back], 0)
+    sums = np.zeros((2, 5, side))
+    for k, term in enumerate((both, here, here * here, there, there * there)):
+        for axis in (0, 1):
+            sums[axis, k, to[1 - axis]] = term.sum(axis=axis, dtype=np.float64)
+    return sums

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
-from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.mosaicing.tiles import (
-    TILE_PX,
     Canvas,
     HeapTiles,
     Rectangle,
@@ -34,8 +33,6 @@ class Pyramid:
     def __init__(self, canvas: Canvas, levels: int) -> None:
         self._canvas = canvas
         self._stores = [HeapTiles() for _ in range(levels - 1)]
-        self._half = np.empty((TILE_PX, TILE_PX), np.float32)
-        self._count = np.empty((TILE_PX, TILE_PX), np.float32)
 
     def refresh(self) -> list[Rectangle]:
         """Update all levels; return the rectangle that changed on each, or an empty list if nothing did."""
@@ -67,41 +64,31 @@ class Pyramid:
         for key in part.tiles():
             at = tile_rectangle(*key)
             block = part.intersection(at)
-            rows, cols = block.shape
             image, weight = self.read(
                 level - 1, Rectangle(2 * block.top, 2 * block.left, 2 * block.bottom, 2 * block.right)
             )
-            half, count = self._half[:rows, :cols], self._count[:rows, :cols]
-            if not halve(image, weight, half, count) and key not in existing:
+            half, count = halve(image, weight)
+            if not count.any() and key not in existing:
                 continue
             tile, there = store.tile(*key), block.slices(at)
             tile.value[there], tile.weight[there] = half, count
 
 
-@kernel
-def halve(
-    image: NDArray[np.float32], weight: NDArray[np.float32], half: NDArray[np.float32], count: NDArray[np.float32]
-) -> bool:
-    """Average 2 x 2 pixels, counting those that have a weight; return True if any has.
+def halve(image: NDArray[np.float32], weight: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Average 2 x 2 pixels, counting those that have a weight.
 
     Parameters
     ----------
     image, weight : numpy.ndarray
-        (2 rows, 2 cols) float32.
+        (2 rows, 2 cols) float32; grey levels are 0 where there is no weight.
+
+    Returns
+    -------
     half, count : numpy.ndarray
-        (rows, cols) float32, filled with the means and with how many of the four have a weight.
+        (rows, cols) float32: the means, and how many of the four have a weight.
     """
-    any_drawn = False
-    for row in range(half.shape[0]):
-        for col in range(half.shape[1]):
-            total, drawn = np.float32(0), np.float32(0)
-            for down in range(2):
-                for across in range(2):
-                    if weight[2 * row + down, 2 * col + across] > 0:
-                        total += image[2 * row + down, 2 * col + across]
-                        drawn += np.float32(1)
-            count[row, col] = drawn
-            half[row, col] = total / drawn if drawn > 0 else np.float32(0)
-            if drawn > 0:
-                any_drawn = True
-    return any_drawn
+    size = weight.shape[1] // 2, weight.shape[0] // 2
+    light, share = (
+        cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (image, (weight > 0).astype(np.float32))
+    )
+    return np.divide(light, share, out=light, where=share > 0), 4 * share

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import kernel
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
 
 _STEPS: Final = 4
 """Gauss-Newton steps; measured: the last one is below a hundredth of a cell."""
@@ -58,12 +58,14 @@ def refine_placement(
     """
     found = Placement()
     for _ in range(_STEPS):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        _accumulate(
-            expected, np.add(places, (found.row, found.col)), values, weights, np.float32(found.exposure), normal, right
-        )
-        if normal[2, 2] <= 0:
+        level, downward, sideways = _interpolated(expected, np.add(places, (found.row, found.col)))
+        missed = values - found.exposure * level
+        seen = np.isfinite(missed)
+        if not seen.any():
             return Placement()
+        slopes = np.stack([found.exposure * downward, found.exposure * sideways, level])[:, seen]
+        normal = np.einsum("im,m,jm->ij", slopes, weights[seen], slopes)
+        right = np.einsum("im,m->i", slopes, weights[seen] * missed[seen])
         step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(3), right)
         found = Placement(found.row + float(step[0]), found.col + float(step[1]), found.exposure + float(step[2]))
     kept = np.hypot(found.row, found.col) < limit and 0.5 < found.exposure < 2
@@ -86,7 +88,10 @@ class CoreGains:
         self, expected: NDArray[np.float32], places: NDArray[np.float64], values: NDArray[np.float32], exposure: float
     ) -> None:  # fmt: skip
         """Add a frame; arguments as of :func:`refine_placement`."""
-        _regress(expected, places, values, np.float32(exposure), self._product, self._square)
+        level = exposure * _interpolated(expected, places)[0]
+        seen = np.isfinite(level) & np.isfinite(values)
+        self._product[seen] += level[seen] * values[seen]
+        self._square[seen] += np.square(level[seen])
 
     def corrections(self, frames: int) -> NDArray[np.float32]:
         """Return the factor for each core's gain (m,) float32, from a number of frames."""
@@ -95,58 +100,13 @@ class CoreGains:
         return np.asarray(np.clip(gains, *_GAIN_LIMITS), np.float32)
 
 
-@kernel
-def _interpolate(image: NDArray[np.float32], row: float, col: float) -> tuple[float, float, float]:
-    """Return an image's bilinear value at a place and its slopes along rows and columns; NaN beyond the image."""
-    rows, cols = image.shape
-    r, c = int(np.floor(row)), int(np.floor(col))
-    if r < 0 or c < 0 or r + 1 >= rows or c + 1 >= cols:
-        return np.nan, np.nan, np.nan
-    down, across = row - r, col - c
-    a, b, d, e = image[r, c], image[r, c + 1], image[r + 1, c], image[r + 1, c + 1]
-    downward = d - a + across * (a - b - d + e)
-    return a + across * (b - a) + down * downward, downward, b - a + down * (a - b - d + e)
-
-
-@kernel
-def _accumulate(
-    expected: NDArray[np.float32],
-    places: NDArray[np.float64],
-    values: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    exposure: np.float32,
-    normal: NDArray[np.float64],
-    right: NDArray[np.float64],
-) -> None:
-    """Add the normal equations of shift and exposure."""
-    slope = np.zeros(3)
-    for k in range(len(values)):
-        level, downward, sideways = _interpolate(expected, places[k, 0], places[k, 1])
-        missed = values[k] - exposure * level
-        if missed != missed:  # NaN: beyond the image
-            continue
-        slope[0] = exposure * downward
-        slope[1] = exposure * sideways
-        slope[2] = level
-        for i in range(3):
-            right[i] += weights[k] * slope[i] * missed
-            for j in range(3):
-                normal[i, j] += weights[k] * slope[i] * slope[j]
-
-
-@kernel
-def _regress(
-    expected: NDArray[np.float32],
-    places: NDArray[np.float64],
-    values: NDArray[np.float32],
-    exposure: np.float32,
-    product: NDArray[np.float64],
-    square: NDArray[np.float64],
-) -> None:
-    """Add the products of values and expected ones, and the squares of these, for each core."""
-    for k in range(len(values)):
-        level = exposure * _interpolate(expected, places[k, 0], places[k, 1])[0]
-        if level != level or values[k] != values[k]:
-            continue
-        product[k] += level * values[k]
-        square[k] += level * level
+def _interpolated(image: NDArray[np.float32], places: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return bilinear values of an image at places (m, 2), NaN beyond it, and slopes along rows and columns."""
+    pixel = np.floor(places).astype(np.intp)
+    beyond = ((pixel < 0) | (pixel + 1 >= image.shape)).any(axis=1)
+    pixel[beyond] = 0
+    (row, col), (down, across) = pixel.T, (places - pixel).T
+    a, b, d, e = image[row, col], image[row, col + 1], image[row + 1, col], image[row + 1, col + 1]
+    downward, sideways = d - a + across * (a - b - d + e), b - a + down * (a - b - d + e)
+    level = a + across * (b - a) + down * downward
+    return np.where(beyond, np.nan, level), downward, sideways
