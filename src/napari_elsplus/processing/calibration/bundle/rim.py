@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from napari_elsplus.errors import MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import clustered_influence, estimator_influence, robust_sigma
+from napari_elsplus.processing.analysis.uncertainty import estimator_influence, robust_sigma
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,6 +47,8 @@ SHARE_SAMPLES: Final = 20
 SURROUNDINGS: Final = 1.25
 """Half the side of the square around a circle in which its edge is found, over the radius; chosen: corners show the
 light beside the disc."""
+MAX_STEPS, CONVERGED_PX = 50, 1e-3
+"""Steps of a fit at most, and the last one; chosen, far below the uncertainty."""
 EXPECTILE: Final = 0.98
 """Weight of a point outside the circle, against 0.02 inside; chosen: the circle passes the outermost cores."""
 
@@ -86,13 +88,15 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
                 f"no bundle: a rim is seen on {100 * len(points) / rays:.0f} % of a circle",
                 "is the probe lit from the far end, and the bundle in view?",
             )
-        circle, uncertainty, used = _fit_circle(points, arcs, circle)
+        circle, by_arcs, left = _fit_circle(points, arcs, circle)
         _refuse_other_than_disc(circle, frame)
-        seen = used / rays
+        uncertainty, seen = np.hypot(by_arcs, COMMON_ERROR * left.std()), len(left) / rays
     fine = cv2.GaussianBlur(even, (0, 0), max(0.6, float(circle[2]) / 300))
-    centre, of_centre = _through_outermost(*_edge(fine, circle, 0.06, FOOT_LEVEL)[:2], circle)
-    if of_centre.max() < uncertainty[:2].max():
-        circle[:2], uncertainty[:2] = centre, of_centre
+    points, arcs, _ = _edge(fine, circle, 0.06, FOOT_LEVEL)
+    if len(points) >= ARCS:
+        outermost, by_arcs, _ = _fit_circle(points, arcs, circle, EXPECTILE)
+        if by_arcs[:2].max() < uncertainty[:2].max():
+            circle[:2], uncertainty[:2] = outermost[:2], by_arcs[:2]
     return circle, uncertainty, seen
 
 
@@ -210,48 +214,29 @@ def _edge(
     return points[seen], (ray * ARCS // rays)[seen], rays
 
 
-def _fit_circle(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats, int]:
-    """Fit a circle to the consistent points; return it, its uncertainty, and their number."""
-    circle = start
-    for _ in range(6):
+def _fit_circle(
+    points: Floats, arcs: NDArray[np.intp], circle: Floats, expectile: float = 0.5
+) -> tuple[Floats, Floats, Floats]:
+    """Fit a circle to the consistent points; return it, the spread of its parameters by arcs, and what it leaves over.
+
+    With an expectile above a half by asymmetric least squares, so that it passes points further out: Newey & Powell
+    1987, https://doi.org/10.2307/1911031.
+    """
+    for _ in range(MAX_STEPS):
         away = points - circle[:2]
         distance = np.hypot(*away.T)
         miss = distance - circle[2]
         middle, scatter = _shortest_stretch(miss)
         good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
-        jacobian = np.c_[away / distance[:, None], np.ones(len(away))][good]
-        step = np.linalg.lstsq(jacobian, miss[good], rcond=None)[0]
-        circle = circle + step
-        if np.abs(step).max() < 1e-3:
-            break
-    remainder = miss[good] - jacobian @ step
-    by_arcs = np.linalg.norm(clustered_influence(jacobian, remainder, arcs[good], ARCS), axis=0)
-    return circle, np.hypot(by_arcs, COMMON_ERROR * remainder.std()), int(good.sum())
-
-
-def _through_outermost(points: Floats, arcs: NDArray[np.intp], start: Floats) -> tuple[Floats, Floats]:
-    """Fit the centre of the circle through the outermost points, an expectile by least asymmetric squares.
-
-    Newey & Powell 1987, https://doi.org/10.2307/1911031.
-    """
-    if len(points) < ARCS:
-        return start[:2], np.full(2, np.inf)
-    miss = np.hypot(*(points - start[:2]).T) - start[2]
-    middle, scatter = _shortest_stretch(miss)
-    good = np.abs(miss - middle) < max(3.5 * scatter, 0.5)
-    points, arcs, circle = points[good], arcs[good], start
-    for _ in range(50):
-        away = points - circle[:2]
-        distance = np.hypot(*away.T)
-        miss = distance - circle[2]
-        jacobian = np.c_[away / distance[:, None], np.ones(len(away))]
-        weighted = jacobian * np.where(miss > 0, EXPECTILE, 1 - EXPECTILE)[:, None]
+        jacobian, miss = np.c_[away / distance[:, None], np.ones(len(away))][good], miss[good]
+        weighted = jacobian * np.where(miss > 0, expectile, 1 - expectile)[:, None]
         step = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ miss, rcond=None)[0]
         circle = circle + step
-        if np.abs(step).max() < 1e-3:
+        if np.abs(step).max() < CONVERGED_PX:
             break
-    influence = estimator_influence(weighted * miss[:, None], weighted.T @ jacobian, arcs, ARCS)
-    return circle[:2], np.linalg.norm(influence[:, :2], axis=0)
+    left = miss - jacobian @ step
+    influence = estimator_influence(weighted * left[:, None], weighted.T @ jacobian, arcs[good], ARCS)
+    return circle, np.linalg.norm(influence, axis=0), left
 
 
 def _shortest_stretch(miss: Floats) -> tuple[float, float]:
