@@ -151,8 +151,8 @@ def _compare(
     waves = [_cosines(columns, grid.centre[1], extent, TERMS), _cosines(columns, grid.centre[0], extent, SCAN_TERMS)]
     blocks = -(-grid.side // BLOCK_PX)
     sums = np.zeros((2, len(pairs), 5, blocks * BLOCK_PX))
-    for pair, move in enumerate(moves):
-        sums[:, pair, :, : grid.side] = _overlap_sums(images[members[pair]], lit, move)
+    for k, move in enumerate(moves):
+        sums[:, k, :, : grid.side] = _overlap_sums(images[members[k]], lit, move)
     sums = sums.reshape(2, len(pairs), 5, blocks, BLOCK_PX).sum(axis=-1)
     parts = [_ratios(each) for each in sums]
     designs = [

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,9 +60,8 @@ def reconstruct(samples: Samples, aperture: float, smoothness: float) -> Image:
     smoothness : float
         Weight of the squared gradient.
     """
-    first = local_means(samples, aperture)[0]
     right = _seen(samples.weights * samples.means, aperture)
-    return _solved(samples.weights, right[..., None], aperture, smoothness, first[..., None])[..., 0]
+    return _solved(samples.weights, right, aperture, smoothness, local_means(samples, aperture)[0])
 
 
 def choose_smoothness(samples: Samples, aperture: float) -> float:
@@ -79,15 +79,15 @@ def choose_smoothness(samples: Samples, aperture: float) -> float:
     density = float(weights.mean())
     root = np.sqrt(weights)
     probe = np.random.default_rng(0).choice(np.array([-1, 1], np.float32), weights.shape) * occupied
-    right = np.stack([_seen(weights * means, aperture), _seen(root * probe, aperture)], axis=-1)
-    start = np.stack([local_means(samples, aperture)[0], np.zeros_like(means)], axis=-1)
+    seen, seen_probe = _seen(weights * means, aperture), _seen(root * probe, aperture)
+    image, response = local_means(samples, aperture)[0], np.zeros_like(means)
     count = int(occupied.sum())
     scores = []
     for relative in SMOOTHNESSES[::-1]:
-        start = _solved(weights, right, aperture, float(relative) * density, start)
-        fitted = _seen(start, aperture)
-        misfit = float((weights * (means - fitted[..., 0]) ** 2).sum(dtype=np.float64))
-        trace = float((probe * root * fitted[..., 1]).sum(dtype=np.float64))
+        image = _solved(weights, seen, aperture, float(relative) * density, image)
+        response = _solved(weights, seen_probe, aperture, float(relative) * density, response)
+        misfit = float((weights * (means - _seen(image, aperture)) ** 2).sum(dtype=np.float64))
+        trace = float((probe * root * _seen(response, aperture)).sum(dtype=np.float64))
         scores.append(count * misfit / max(count - _CAUTION * trace, 1.0) ** 2)
     best = len(scores) - 1 - int(np.argmin(scores))
     return float(SMOOTHNESSES[best]) * density
@@ -110,38 +110,23 @@ def local_means(samples: Samples, sigma: float) -> tuple[Image, Image]:
 
 def _seen(image: Image, aperture: float) -> Image:
     """Return an image as it is seen through the aperture; its own adjoint."""
-    blurred: Image = cv2.GaussianBlur(image, (0, 0), aperture, borderType=cv2.BORDER_CONSTANT)
-    return blurred.reshape(image.shape)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), aperture, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _rough(image: Image) -> Image:
-    """Return minus the Laplacian of an image (rows, cols, k), whose edges are free."""
+    """Return minus the Laplacian of an image, whose edges are free."""
     curved: Image = cv2.Laplacian(image, -1, ksize=1, borderType=cv2.BORDER_REPLICATE)
-    return -curved.reshape(image.shape)
+    return -curved
 
 
 def _solved(weights: Image, right: Image, aperture: float, smoothness: float, start: Image) -> Image:
-    """Solve the normal equations for each channel of the right side (rows, cols, k) by conjugate gradients."""
-    heavy = weights[..., None]
+    """Solve the normal equations for a right side (rows, cols) by conjugate gradients."""
 
-    def normal(image: Image) -> Image:
-        return _seen(heavy * _seen(image, aperture), aperture) + np.float32(smoothness) * _rough(image)
+    def normal(flat: Image) -> Image:
+        image = flat.reshape(right.shape)
+        data = _seen(weights * _seen(image, aperture), aperture)
+        return (data + np.float32(smoothness) * _rough(image)).ravel()
 
-    def product(one: Image, other: Image) -> NDArray[np.float64]:
-        return np.asarray(np.einsum("rck,rck->k", one, other, dtype=np.float64))
-
-    values = start.copy()
-    rest = right - normal(values)
-    step = rest.copy()
-    power = product(rest, rest)
-    enough = TOLERANCE**2 * product(right, right)
-    for _ in range(MAX_ITERATIONS):
-        if (power <= enough).all():
-            break
-        moved = normal(step)
-        length = (power / np.maximum(product(step, moved), 1e-30)).astype(np.float32)
-        values += length * step
-        rest -= length * moved
-        power, before = product(rest, rest), power
-        step = rest + (power / np.maximum(before, 1e-30)).astype(np.float32) * step
-    return values
+    equations = LinearOperator((right.size, right.size), normal, dtype=np.float32)
+    values, _ = cg(equations, right.ravel(), start.ravel(), rtol=TOLERANCE, maxiter=MAX_ITERATIONS)
+    return np.asarray(values, np.float32).reshape(right.shape)
