@@ -25,8 +25,6 @@ from napari_elsplus.processing.calibration.bundle.rim import edge_share
 from napari_elsplus.processing.images.row_reference import dark_pixels
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -90,7 +88,7 @@ def require_agreement(frames: Frames, calibration: Calibration) -> None:
     mean, factor = _reduced_mean(frames)
     calibrated = [(view, *disc) for view, disc in zip(("confocal", "residual"), bundle.discs, strict=True)]
     places = [((np.array(centre) + 0.5) / factor - 0.5, size_px / factor) for _, centre, size_px in calibrated]
-    if all(_edge_share(mean, *place, 0.0) >= MIN_EDGE_SHARE for place in places):
+    if all(edge_share(mean, *place) >= MIN_EDGE_SHARE for place in places):
         return
     try:
         located = locate_pair(mean)
@@ -129,16 +127,17 @@ def grey_level_note(frames: Frames, calibration: Calibration) -> str:
     some = [np.array(frames[number][_COMPARED]) for number in averaged_frames(len(frames))]
     saturated = saturation_note(float(np.mean([saturated_part(pixels) for pixels in some])))
     same_shape = calibration.background is not None and calibration.background.shape == frames[0].shape
-    notes = saturated, _bit_depth_note(some, calibration) if same_shape else "", _brighter_view_note(some, calibration)
+    seen = np.mean([pixels.astype(np.float32) for pixels in some], axis=0)
+    bit_depth = _bit_depth_note(seen, some[0].dtype, calibration) if same_shape else ""
+    notes = saturated, bit_depth, _brighter_view_note(seen, calibration)
     return "; ".join(filter(None, notes))
 
 
-def _brighter_view_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
-    """Return the message on a residual view that is brighter than the confocal one, by some pixels of frames."""
+def _brighter_view_note(seen: Image, calibration: Calibration) -> str:
+    """Return the message on a residual view that is brighter than the confocal one, by the mean of some pixels."""
     bundle, background = calibration.bundle, calibration.background
     if bundle is None:
         return ""
-    seen = np.mean([pixels.astype(np.float32) for pixels in some], axis=0)
     if background is not None and background[_COMPARED].shape == seen.shape:
         seen = seen - background[_COMPARED]
     confocal_dn, residual_dn = (float(seen[_within(seen.shape, *place)].mean()) for place in bundle.discs)
@@ -158,9 +157,9 @@ def _within(shape: tuple[int, ...], centre: tuple[float, float], diameter_px: fl
     return inside
 
 
-def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> str:
-    """Return the message on another bit depth or light by some pixels of frames of the background's shape."""
-    bundle, background, dtype = calibration.bundle, calibration.background, some[0].dtype
+def _bit_depth_note(seen: Image, dtype: np.dtype[Any], calibration: Calibration) -> str:
+    """Return the message on another bit depth or light of frames of the background's shape by their mean."""
+    bundle, background = calibration.bundle, calibration.background
     if bundle is None or background is None:
         return ""
     remedy = "use a calibration of this bit depth and black level, or measure its background again"
@@ -169,7 +168,6 @@ def _bit_depth_note(some: Sequence[NDArray[Any]], calibration: Calibration) -> s
         raise CalibrationError(
             f"the background has grey levels up to {background.max():.0f}, frames of {dtype} up to {largest}", remedy
         )
-    seen = np.mean([pixels.astype(np.float32) for pixels in some], axis=0)
     beside = dark_pixels(background.shape, bundle.discs)[_COMPARED] == 1
     if np.count_nonzero(beside) < MIN_COMPARED_PIXELS:
         return ""
@@ -202,12 +200,8 @@ def _differs(disc: Disc, centre: NDArray[np.float64], diameter_px: float, mean: 
     away_px = max(float(np.hypot(*(centre - disc.centre))), abs(disc.diameter_px - diameter_px) / 2)
     if away_px <= TOLERATED * diameter_px:
         return False
-    seen = _edge_share(mean, disc.centre, disc.diameter_px, side)
-    return _edge_share(mean, centre, diameter_px, side) < MAX_EDGE_RATIO * seen
-
-
-def _edge_share(mean: Image, centre: Sequence[float] | NDArray[np.float64], diameter_px: float, side: float) -> float:
-    return edge_share(mean, np.array([*centre, diameter_px / 2]), side)
+    seen = edge_share(mean, disc.centre, disc.diameter_px, side)
+    return edge_share(mean, centre, diameter_px, side) < MAX_EDGE_RATIO * seen
 
 
 def _reduced_mean(frames: Frames) -> tuple[Image, int]:

@@ -20,6 +20,8 @@ from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence, robust_sigma
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -105,19 +107,21 @@ def _refuse_other_than_disc(circle: Floats, frame: Image) -> None:
         raise MeasurementError("no bundle: the lit area is no disc", "is the probe lit from the far end?")
 
 
-def edge_share(frame: Image, circle: Floats, side: float = 0.0) -> float:
+def edge_share(frame: Image, centre: Sequence[float] | Floats, diameter_px: float, side: float = 0.0) -> float:
     """Return the share of a circle's circumference on which the half level of a lit disc lies near it.
 
     Parameters
     ----------
     frame : numpy.ndarray
         (rows, cols) float32.
-    circle : numpy.ndarray
-        Row, column and radius.
+    centre : sequence of float
+        Row and column of the circle's centre.
+    diameter_px : float
+        Its diameter.
     side : float
         Positive: of its half below the centre; negative: above; 0: of all of it.
     """
-    frame, circle = _surroundings(frame, circle)
+    frame, circle = _surroundings(frame, np.array([*centre, diameter_px / 2]))
     even = _evenly_lit(frame, circle, SHARE_SAMPLES)
     smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
     points, _, rays = _edge(smooth, circle, 0.1, HALF_LEVEL, MAX_SHARE_RAYS, SHARE_STEP_PX)

@@ -182,7 +182,13 @@ class _Views:
     @property
     def resolve_cores(self) -> bool:
         """True if the pattern of the cores stands out in the spectrum of both views."""
-        return all(self._resolves_cores(disc) for disc in (self.confocal, self.residual))
+        matcher = self.matcher
+        try:
+            for view in (self.confocal, self.residual):
+                core_pitch_px(cropped(matcher.contrast, view.centre, matcher.side), matcher.inside)
+        except MeasurementError:
+            return False
+        return True
 
     def require_resolved(self, fit: CoreFit) -> None:
         """Raise an UnresolvedCoresError if aligned views are as alike a core's distance away: they show no cores there.
@@ -208,16 +214,6 @@ class _Views:
         matcher = self.matcher
         view = matcher.residual_view(matcher.contrast, coefficients)
         return float(np.corrcoef(matcher.confocal[matcher.inside], view[matcher.inside])[0, 1])
-
-    def _resolves_cores(self, view: Disc) -> bool:
-        """Return True if the core pattern stands out in the spectrum of a view."""
-        matcher = self.matcher
-        image = cropped(matcher.contrast, view.centre, matcher.side)
-        try:
-            core_pitch_px(image, matcher.inside)
-        except MeasurementError:
-            return False
-        return True
 
     def gain(self, coefficients: Floats) -> tuple[float, float]:
         """Return the gain and its uncertainty under a map (2, 10)."""
