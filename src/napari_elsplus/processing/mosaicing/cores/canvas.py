@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_elsplus.processing.compiled import lean_kernel
 from napari_elsplus.processing.mosaicing.cores.least_squares import Samples, local_means
-from napari_elsplus.processing.mosaicing.tiles import Rectangle, TiledCanvas, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, TiledCanvas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -78,30 +77,16 @@ class SampleCanvas(TiledCanvas):
             return
         (top, left), (bottom, right) = cells.min(axis=0).tolist(), (cells.max(axis=0) + 1).tolist()
         touched = Rectangle(top, left, bottom, right)
+        heavy = weights[used]
+        light = heavy * values[used]
         with self._lock:
             for key in touched.tiles():
-                tile, at = self._store.tile(*key), tile_rectangle(*key)
-                _add_samples(*tile, at.top, at.left, cells, values[used], weights[used])
+                on_tile = (cells // TILE_PX == key).all(axis=1)
+                pixel = np.ravel_multi_index(tuple((cells[on_tile] % TILE_PX).T), (TILE_PX, TILE_PX))
+                tile = self._store.tile(*key)
+                np.add.at(tile.value.reshape(-1), pixel, light[on_tile])
+                np.add.at(tile.weight.reshape(-1), pixel, heavy[on_tile])
             self._mark_drawn(touched)
-
-
-@lean_kernel
-def _add_samples(
-    value: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    top: int,
-    left: int,
-    cells: NDArray[np.int64],
-    values: NDArray[np.float32],
-    weights: NDArray[np.float32],
-) -> None:
-    """Add the samples that lie on a tile."""
-    rows, cols = value.shape
-    for k in range(len(values)):
-        r, c = cells[k, 0] - top, cells[k, 1] - left
-        if 0 <= r < rows and 0 <= c < cols:
-            value[r, c] += weights[k] * values[k]
-            weight[r, c] += weights[k]
 
 
 class ImageCanvas(TiledCanvas):
