@@ -27,11 +27,6 @@ _REACH: Final = 0.78
 """Distance from the line to which profiles are fitted, of its half length; derived: inside of the rim there."""
 _HONEYCOMB: Final = 0.1
 """Scatter of a group's profile over its level, from the cores' transmission; chosen, that of a few cores."""
-MAX_STEPS, SMALL_STEP = 4, 0.01
-"""Gauss-Newton steps from the fit of the mean profile to that of the groups, and the largest relative change of a
-width that ends them; chosen: the error after a step is about the square of that step."""
-_MAX_STEP: Final = 5.0
-"""Largest change of a width's logarithm in such a step; chosen: no halo is 150 times as wide as a core."""
 _MIN_HALO_SHARE: Final = 0.02
 """Share of the light below which no halo is stated; chosen: its width is then unknown."""
 _MIN_SIGMAS: Final = 3.0
@@ -90,18 +85,10 @@ def measure_line_parts(
 
     peak, level = float(mean.max()), float(np.percentile(mean, 5))
     start = np.array([0.7 * (peak - level), np.log(core_rows), 0.3 * (peak - level), np.log(5 * core_rows), 0.0, level])
-    best = _fit(start, u.mean(axis=1), mean, weights)
-    _must_have_halo(*_parts(best))  # where both are one, no step away from there is determined
-    # The groups differ from their mean by the tilt alone, so that few steps lead from its fit to theirs.
-    for _ in range(MAX_STEPS):
-        misfit = (_model(best, u) - profiles) * weights[:, None]
-        before, (best, without) = best, _steps(best, _derivatives(best, u) * weights[:, None], misfit)
-        if np.abs((best - before)[[1, 3]]).max() > _MAX_STEP:
-            _must_have_halo(*_parts(before)[:2], share=0.0)
-        if np.abs(best - before)[[1, 3]].max() < SMALL_STEP:
-            break
+    best = _fit(start, u, profiles, weights[:, None])
     core, halo, share = _parts(best)
-    sigma = _jackknife_sigma(best, without)
+    _must_have_halo(core, halo, share)  # where both are one, no step away from there is determined
+    sigma = _jackknife_sigma(best, _without_each(best, u, profiles, weights[:, None]))
     significant = min(share, 1 - share) > _MIN_SIGMAS * sigma[2]
     _must_have_halo(core, halo, share if share > _MIN_HALO_SHARE and significant else 0.0)
     return LineParts(core, halo, share, float(sigma[0]), float(sigma[1]), float(sigma[2]))
@@ -116,36 +103,37 @@ def _must_have_halo(core: float, halo: float, share: float) -> None:
         )
 
 
-def _fit(start: Floats, u: Floats, light: Floats, weights: Floats) -> Floats:
-    """Fit the model to grey levels at distances from the line, both (rows,), by Levenberg-Marquardt."""
+def _fit(start: Floats, u: Floats, profiles: Floats, weights: Floats) -> Floats:
+    """Fit the model to grey levels at distances from the line, both (rows, profiles), by Levenberg-Marquardt."""
     return np.asarray(
         least_squares(
-            lambda parameters: (_model(parameters, u) - light) * weights,
+            lambda parameters: ((_model(parameters, u) - profiles) * weights).ravel(),
             start,
-            lambda parameters: (_derivatives(parameters, u) * weights).T,
+            lambda parameters: (_derivatives(parameters, u) * weights).reshape(len(start), -1).T,
             x_scale=np.maximum(np.abs(start), 0.1),
             method="lm",
         ).x
     )
 
 
-def _steps(parameters: Floats, jacobian: Floats, misfit: Floats) -> tuple[Floats, Floats]:
-    """Return parameters one Gauss-Newton step on: of all groups, and without each of them, (GROUPS, parameters).
+def _without_each(best: Floats, u: Floats, profiles: Floats, weights: Floats) -> Floats:
+    """Return the parameters without each group, (GROUPS, parameters), one Gauss-Newton step from those of all.
 
     Parameters
     ----------
-    parameters : numpy.ndarray
-        Shape (parameters,).
-    jacobian, misfit : numpy.ndarray
-        Derivatives of the misfit, (parameters, rows, profiles), and the misfit, (rows, profiles); each group has two
-        of the profiles.
+    best : numpy.ndarray
+        Parameters fitted to all profiles, shape (parameters,).
+    u, profiles : numpy.ndarray
+        Distances from the line, and grey levels there, (rows, profiles); each group has two of the profiles.
+    weights : numpy.ndarray
+        Of the rows, (rows, 1).
     """
-    by_group = jacobian.reshape(len(parameters), -1, GROUPS).transpose(2, 0, 1)
+    misfit = (_model(best, u) - profiles) * weights
+    by_group = (_derivatives(best, u) * weights).reshape(len(best), -1, GROUPS).transpose(2, 0, 1)
     curvature = by_group @ by_group.transpose(0, 2, 1)
     pull = (by_group @ misfit.reshape(-1, GROUPS).T[:, :, None])[..., 0]
-    whole = np.linalg.pinv(curvature.sum(axis=0)) @ pull.sum(axis=0)
-    without = np.linalg.pinv(curvature.sum(axis=0) - curvature) @ (pull.sum(axis=0) - pull)[..., None]
-    return parameters - whole, parameters - without[..., 0]
+    steps = np.linalg.pinv(curvature.sum(axis=0) - curvature) @ (pull.sum(axis=0) - pull)[..., None]
+    return np.asarray(best - steps[..., 0], np.float64)
 
 
 def _jackknife_sigma(best: Floats, without: Floats) -> Floats:

@@ -46,8 +46,6 @@ def mean_frame(frames: Frames) -> Image:
     """
     if not len(frames):
         raise InputError("there are 0 frames", "give at least one")
-    if len(frames) == 1:
-        return _finite(np.array(frames[0], np.float32), frames[0].dtype)
     exact = largest_level(frames[0]) * len(frames) < EXACT_FLOAT32
     total = np.zeros(frames[0].shape, np.float32 if exact else np.float64)
     for number in range(len(frames)):

@@ -40,15 +40,10 @@ FOOT_LEVEL: Final = 0.2
 """At which the outermost cores end; chosen, above noise and stray light."""
 NEAR_EDGE: Final = 0.03
 """Distance of an edge from a circle, over the radius, at which it counts as the circle's; chosen."""
-MAX_SHARE_RAYS: Final = 180
-"""Rays from the centre at most on which the share of an edge is found; chosen: a ray every two degrees."""
-SHARE_STEP_PX: Final = 1.0
-"""Step along them; chosen: a third of the distance that counts as near at a radius of 100 px."""
-SHARE_SAMPLES: Final = 20
-"""Samples along the radius to which the light is fitted before; chosen: a thousand for the six terms of a quadratic."""
-SURROUNDINGS: Final = 1.25
-"""Half the side of the square around a circle in which its edge is found, over the radius; chosen: corners show the
-light beside the disc."""
+MAX_RAYS, RAY_STEP_PX = 1440, 0.25
+"""Rays from the centre on which the edge is followed, and the step along them; chosen: finer than any core."""
+SAMPLES: Final = 60
+"""Along the radius, to which the light is fitted; chosen: thousands for the six terms of a quadratic."""
 MAX_STEPS, CONVERGED_PX = 50, 1e-3
 """Steps of a fit at most, and the last one; chosen, far below the uncertainty."""
 EXPECTILE: Final = 0.98
@@ -81,7 +76,7 @@ def fit_rim(frame: Image, circle: Floats) -> tuple[Floats, Floats, float]:
     """
     _refuse_other_than_disc(circle, frame)
     even = _evenly_lit(frame, circle)
-    smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
+    smooth = _smoothed(even, circle)
     uncertainty, seen = np.zeros(3), 0.0
     for reach in (0.25, 0.1, 0.1):
         points, arcs, rays = _edge(smooth, circle, reach, HALF_LEVEL)
@@ -121,10 +116,8 @@ def edge_share(frame: Image, centre: Sequence[float] | Floats, diameter_px: floa
     side : float
         Positive: of its half below the centre; negative: above; 0: of all of it.
     """
-    frame, circle = _surroundings(frame, np.array([*centre, diameter_px / 2]))
-    even = _evenly_lit(frame, circle, SHARE_SAMPLES)
-    smooth = cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0)))
-    points, _, rays = _edge(smooth, circle, 0.1, HALF_LEVEL, MAX_SHARE_RAYS, SHARE_STEP_PX)
+    circle = np.array([*centre, diameter_px / 2])
+    points, _, rays = _edge(_smoothed(_evenly_lit(frame, circle), circle), circle, 0.1, HALF_LEVEL)
     from_centre = points - circle[:2]
     near = np.abs(np.hypot(*from_centre.T) - circle[2]) < NEAR_EDGE * circle[2]
     if side:
@@ -132,12 +125,9 @@ def edge_share(frame: Image, centre: Sequence[float] | Floats, diameter_px: floa
     return float(np.count_nonzero(near)) / (rays / 2 if side else rays)
 
 
-def _surroundings(frame: Image, circle: Floats) -> tuple[Image, Floats]:
-    """Return the part of a frame around a circle, and the circle in it."""
-    reach = SURROUNDINGS * circle[2]
-    first = np.clip(np.floor(circle[:2] - reach), 0, np.array(frame.shape) - 1).astype(int)
-    stop = np.maximum(np.ceil(circle[:2] + reach).astype(int) + 1, first + 1)
-    return frame[first[0] : stop[0], first[1] : stop[1]], circle - [*first, 0]
+def _smoothed(even: Image, circle: Floats) -> Image:
+    """Return evenly lit light without the cores, by a Gaussian of a hundredth of a circle's radius."""
+    return np.asarray(cv2.GaussianBlur(even, (0, 0), float(np.clip(circle[2] / 100, 0.8, 4.0))), np.float32)
 
 
 def circle_through(points: Floats, start: Floats) -> Floats:
@@ -157,11 +147,11 @@ def circle_through(points: Floats, start: Floats) -> Floats:
     return np.asarray(scipy.optimize.least_squares(misses, start, loss="cauchy").x, np.float64)
 
 
-def _evenly_lit(frame: Image, circle: Floats, samples: int = 60) -> Image:
+def _evenly_lit(frame: Image, circle: Floats) -> Image:
     """Divide the light by a quadratic that is fitted to it inside the disc: half level is then the same all around."""
     row, column, radius = circle
     rows, cols = ((np.arange(size) - at) / radius for size, at in zip(frame.shape, (row, column), strict=True))
-    step = max(1, int(radius / samples))
+    step = max(1, int(radius / SAMPLES))
     y, x = (grid.ravel() for grid in np.meshgrid(rows[::step], cols[::step], indexing="ij"))
     inside = np.hypot(y, x) < 0.95
     coarse = frame[::step, ::step].ravel().astype(np.float64)
@@ -183,14 +173,12 @@ def _quadratic(y: Floats, x: Floats) -> Floats:
     return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
 
 
-def _edge(
-    smooth: Image, circle: Floats, reach: float, level: float, max_rays: int = 1440, step_px: float = 0.25
-) -> tuple[Floats, NDArray[np.intp], int]:
+def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Floats, NDArray[np.intp], int]:
     """Return the points where the light has fallen to a level, on those rays from the centre that cross an edge."""
     row, column, radius = circle
-    rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, max_rays))
+    rays = int(np.clip(2 * np.pi * radius, 4 * ARCS, MAX_RAYS))
     angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
-    radii = np.arange((1 - reach) * radius, (1 + reach) * radius, step_px)
+    radii = np.arange((1 - reach) * radius, (1 + reach) * radius, RAY_STEP_PX)
     at_row = (row + radii * np.sin(angles)[:, None]).astype(np.float32)
     at_col = (column + radii * np.cos(angles)[:, None]).astype(np.float32)
     light = cv2.remap(smooth, at_col, at_row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -213,7 +201,7 @@ def _edge(
     seen &= ~outside[ray, beyond]
     drop = light[ray, last] - light[ray, beyond]
     part = (light[ray, last] - edge) / np.where(drop > 0, drop, 1.0)
-    at = radii[last] + step_px * np.clip(part, 0, 1)
+    at = radii[last] + RAY_STEP_PX * np.clip(part, 0, 1)
     points = np.stack([row + at * np.sin(angles), column + at * np.cos(angles)], axis=1)
     return points[seen], (ray * ARCS // rays)[seen], rays
 
