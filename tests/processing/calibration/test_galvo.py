@@ -276,3 +276,14 @@ def test_a_straight_line_has_no_bow() -> None:
     found = map_galvo(list(standing_line(instrument, volts, seed=92)), volts)
     assert found.bow_rows == 0
     assert 0 < found.bow_uncertainty_rows < 0.1
+
+
+def test_bows_that_are_outliers_leave_a_short_sweep_its_map() -> None:
+    bends = (9e-4, 1e-5, -1e-5, 2e-5, -9e-4, 0.0)
+    rows, volts = np.linspace(100, 200, 6), 1e-3 * np.linspace(100, 200, 6)
+    lines: list[Line | None] = [
+        replace(line(row), bend=bend, mean_square_px=3300.0) for row, bend in zip(rows, bends, strict=True)
+    ]
+    found = fit_galvo(volts, lines, 150.0)
+    assert found.volts_per_row == pytest.approx(1e-3, rel=1e-3)
+    assert found.bow_rows == 0

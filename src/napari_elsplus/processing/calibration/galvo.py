@@ -240,16 +240,16 @@ class _Bow:
 def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: float) -> _Bow:
     """Return the bow that all lines of a sweep share; 0 if it is not significant."""
     bends = np.array([line.bend for line in lines]) * radius_px**2
-    weights = np.array([line.mean_square_px**2 for line in lines]) + 1e-12
     away = bends - np.median(bends)
-    weights[np.abs(away) > OUTLIER_SIGMAS * robust_sigma(away) + 1e-9] = 0
-    rows = float(np.average(bends, weights=weights))
+    kept = np.abs(away) <= OUTLIER_SIGMAS * robust_sigma(away) + 1e-9
+    weights = np.array([line.mean_square_px**2 for line in lines])[kept] + 1e-12
+    rows = float(np.average(bends[kept], weights=weights))
     # A lens bends the line upwards on one side of its axis and downwards on the other, which is no scatter.
     root = np.sqrt(weights / weights.mean())[:, None]
-    terms = root * _polynomial(_place(volts))
-    scaled = root[:, 0] * bends
+    terms = root * _polynomial(_place(volts[kept]))
+    scaled = root[:, 0] * bends[kept]
     left_over = np.asarray(scaled - terms @ np.linalg.lstsq(terms, scaled, rcond=None)[0], np.float64)
-    uncertainty = float(np.sqrt(_covariance(root, left_over, terms, _runs(volts))[0, 0]))
+    uncertainty = float(np.sqrt(_covariance(root, left_over, terms, _runs(volts[kept]))[0, 0]))
     share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
     return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
 
