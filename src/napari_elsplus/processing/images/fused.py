@@ -143,7 +143,15 @@ class FusedSections:
                 np.copyto(image, made)
 
     def ls(self, raw: NDArray[np.generic], out: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Fill the image (n, n) of the confocal view of a raw frame (rows, cols), and return it."""
+        """Return the confocal view of a raw frame.
+
+        Parameters
+        ----------
+        raw : numpy.ndarray
+            (rows, cols) grey levels.
+        out : numpy.ndarray
+            (n, n) float32, filled and returned.
+        """
         self(raw, raw, out, None, None)
         return out
 
