@@ -104,19 +104,16 @@ def measure(
 
 
 def _check_shapes(inputs: Mapping[str, Frames]) -> None:
-    shapes = {}
+    first = next(iter(inputs), "")
     for name, frames in inputs.items():
         if not len(frames):
             raise InputError(f"{name}: there are 0 frames", "give at least one")
-        shape = frames[0].shape
+        shape, expected = frames[0].shape, inputs[first][0].shape
         if len(shape) != 2:
             raise InputError(f"{name}: a frame has shape {shape}", "frames (rows, cols) are expected")
-        shapes[name] = shape
-    for name, shape in shapes.items():
-        first = next(iter(shapes))
-        if shape != shapes[first]:
+        if shape != expected:
             raise InputError(
-                f"{first} has {shapes[first][0]} x {shapes[first][1]} pixels, {name} {shape[0]} x {shape[1]}",
+                f"{first} has {expected[0]} x {expected[1]} pixels, {name} {shape[0]} x {shape[1]}",
                 "record all with the same camera region",
             )
 

@@ -119,20 +119,22 @@ class CoreAgreement:
         """
         views = self._views(frames)
         confocal, residual = (self._displacement(view) for view in views)
-        if confocal is None or residual is None:
-            return self._elsewhere(frames)
+        if confocal is None or residual is None:  # frames may clearly show the bundle farther away than this searches
+            try:
+                require_agreement(frames, self._calibration)
+            except CalibrationError as error:
+                return error
+            return None
         if moved := self._moved(confocal, residual):
             return moved
         ratio = self._brightness_ratio(*views)
-        if rate_advice(self._calibration):
-            return None  # the calibration says itself that the line is off its slit, and what to do
-        if ratio is not None and ratio > MAX_BRIGHTER:
-            return CalibrationError(
-                f"the residual view is {100 * (ratio - 1):.0f} % brighter than the confocal view, by the calibrated "
-                "gain",
-                "is a view shaded, or the line off its slit? measure bundle pair and galvo map again",
-            )
-        return None
+        # A calibration with advice on the rate says itself that the line is off its slit, and what to do.
+        if ratio is None or ratio <= MAX_BRIGHTER or rate_advice(self._calibration):
+            return None
+        return CalibrationError(
+            f"the residual view is {100 * (ratio - 1):.0f} % brighter than the confocal view, by the calibrated gain",
+            "is a view shaded, or the line off its slit? measure bundle pair and galvo map again",
+        )
 
     def displacement(self, frames: Frames) -> CalibrationError | None:
         """Return how far views have moved, with the remedy; None if they have not, or do not show their cores.
@@ -159,14 +161,6 @@ class CoreAgreement:
                 "calibration",
                 "measure the bundle pair again",
             )
-        return None
-
-    def _elsewhere(self, frames: Frames) -> CalibrationError | None:
-        """Return the error of frames that clearly show the bundle farther away than cores are searched, if they do."""
-        try:
-            require_agreement(frames, self._calibration)
-        except CalibrationError as error:
-            return error
         return None
 
     def _views(self, frames: Frames) -> tuple[Image, Image]:

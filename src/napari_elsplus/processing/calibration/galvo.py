@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -228,8 +228,7 @@ def fit_galvo(
     return _fit(v, rows - drawn_rows, used, tilt_deg, bow, by_light, column, len(lines) - len(whole), each_rows)
 
 
-@dataclass(frozen=True, slots=True)
-class _Bow:
+class _Bow(NamedTuple):
     """Bow of the line: rows at the rim, one standard deviation, and what it adds to each line's row over that."""
 
     rows: float
@@ -375,8 +374,7 @@ def _fit(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Curve:
+class _Curve(NamedTuple):
     """A cubic: its terms, its departure from the straight line, there and at the middle, and what it leaves over."""
 
     terms: Floats

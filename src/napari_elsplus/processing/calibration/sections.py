@@ -113,7 +113,7 @@ def apply_pair(draft: Draft, pair: BundlePair) -> Calibration:
     if draft.bundle_um is not None:
         known = known.with_optics(um_per_px=draft.bundle_um / pair.confocal.diameter_px)
     flat = measure_flat_field(pair.image[None], above_dark) if pair.shows_flat_field else None
-    known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat, above_dark.background)})
+    known = known.model_copy(update={"flat": flat, "quality": _quality(known, pair, flat)})
     if draft.offset is not None:
         known = apply_offset(draft.with_calibration(known), draft.offset)
     if draft.galvo is not None:
@@ -132,8 +132,8 @@ def apply_lag(draft: Draft, lag: ScanLag) -> Calibration:
     known = draft.calibration
     if known.galvo is None:
         raise InputError("a scan's lag belongs to a galvo map", "measure the galvo map first")
-    update: dict[str, float | None] = {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
-    update |= {"natural_hz": None, "damping": None, "rows_off": None, "highest_rate_hz": None}
+    update: dict[str, float | None] = dict.fromkeys(_OF_SCAN)
+    update |= {"lag_s": lag.lag_s, "lag_uncertainty_s": lag.uncertainty_s}
     if lag.ramp is not None:
         update |= {"rows_off": lag.ramp.off, "highest_rate_hz": lag.ramp.highest_rate_hz}
     correction = None
@@ -200,8 +200,7 @@ def _with_swept_flat_field(calibration: Calibration, pair: BundlePair, light: Sw
     flat = swept_flat_field(light, calibration) if calibration.flat is None else None
     if flat is None or structure_of_flat_field(flat, calibration) > MAX_STRUCTURE:
         return calibration
-    quality = _quality(calibration, pair, flat, darkness(pair.image, pair.discs))
-    return calibration.model_copy(update={"flat": flat, "quality": quality})
+    return calibration.model_copy(update={"flat": flat, "quality": _quality(calibration, pair, flat)})
 
 
 def in_lamp_light(calibration: Calibration, pair: BundlePair) -> Calibration:
@@ -235,12 +234,10 @@ def _above_dark(calibration: Calibration, pair: BundlePair) -> Calibration:
     return calibration.model_copy(update={"background": darkness(pair.image, pair.discs)})
 
 
-def _quality(
-    calibration: Calibration, pair: BundlePair, flat: Image | None, dark: Image | None = None
-) -> QualitySection:
+def _quality(calibration: Calibration, pair: BundlePair, flat: Image | None) -> QualitySection:
     """Estimate how well the two views cancel, before and after the core filter, above the darkness of the pair."""
     known = in_lamp_light(calibration, pair).model_copy(update={"flat": flat})
-    errors = measure_alignment_errors(pair.image, known, dark)
+    errors = measure_alignment_errors(pair.image, known)
     return QualitySection(
         alignment_error=errors.before, alignment_error_filtered=errors.after, core_filter=errors.cores.value
     )

@@ -22,21 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Interpolation = Callable[
-        [
-            NDArray[np.float32],
-            int,
-            int,
-            NDArray[np.float32],
-            int,
-            np.float32,
-            np.float32,
-            NDArray[np.float32],
-            int,
-            int,
-        ],
-        None,
-    ]
+    Interpolation = Callable[..., None]
+    """Of the arguments that :func:`interpolation` names."""
 
 BLOCK: Final = 16
 """Pixels of a block; derived: a vector of 512 bits, the longest there is."""

@@ -44,8 +44,7 @@ class Clarity:
     def __init__(self, grid: Grid) -> None:
         self._sigma_px = AROUND_DIAMETERS * grid.diameter
         self._lit = lit_pixels(*grid.spans())
-        self._inside = self._lit.astype(np.float32)
-        self._share = np.maximum(self._blurred(self._inside), np.float32(1e-3))
+        self._share = np.maximum(self._blurred(self._lit.astype(np.float32)), np.float32(1e-3))
         self._unit = 0.0
 
     def of(self, image: Image) -> Image:

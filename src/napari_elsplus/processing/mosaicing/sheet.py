@@ -95,8 +95,7 @@ class Sheet:
 
     def origin(self, number: int) -> tuple[int, int]:
         """Return row and column of the sheet of pixel (0, 0) of the segment with a number; (0, 0) if it is absent."""
-        found = self._places.get(number)
-        return (0, 0) if found is None else (found.row, found.col)
+        return self.origins.get(number, (0, 0))
 
     @property
     def origins(self) -> dict[int, tuple[int, int]]:

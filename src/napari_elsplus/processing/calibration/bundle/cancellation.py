@@ -63,9 +63,7 @@ class AlignmentErrors:
         return ", ".join([f"{100 * self.before:.2f} % unfiltered", *parts])
 
 
-def measure_alignment_errors(
-    image: NDArray[np.floating], calibration: Calibration, dark: NDArray[np.float32] | None = None
-) -> AlignmentErrors:
+def measure_alignment_errors(image: NDArray[np.floating], calibration: Calibration) -> AlignmentErrors:
     """Measure the alignment error of a raw frame in transmission, above the darkness around its bundle images.
 
     Parameters
@@ -74,8 +72,6 @@ def measure_alignment_errors(
         (rows, cols), raw: the bundle lit from its far end, the laser off.
     calibration : Calibration
         Contains the bundle section; with a flat field the Gaussian filter is applied, too.
-    dark : numpy.ndarray, optional
-        (rows, cols) float32: the darkness around the bundle images, as far as it was estimated before.
 
     Raises
     ------
@@ -84,7 +80,7 @@ def measure_alignment_errors(
     """
     bundle = calibration.measured_bundle
     frame = np.asarray(image, np.float32)
-    above_dark = calibration.model_copy(update={"background": darkness(frame, bundle.discs) if dark is None else dark})
+    above_dark = calibration.model_copy(update={"background": darkness(frame, bundle.discs)})
     sectioner = Sectioner(above_dark, frame.shape)
     views = sectioner.ls(frame), sectioner.residual(frame)
     inside = disc(sectioner.side, bundle.diameter_px)

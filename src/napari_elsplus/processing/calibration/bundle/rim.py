@@ -18,6 +18,7 @@ import scipy
 
 from napari_elsplus.errors import MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence, robust_sigma
+from napari_elsplus.processing.images.distortion import polynomial_terms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -158,7 +159,7 @@ def _evenly_lit(frame: Image, circle: Floats) -> Image:
     beside = np.hypot(y, x) > 1.1
     dark = float(np.median(coarse[beside])) if beside.any() else float(coarse.min())
     light = coarse[inside] - dark
-    quadratic = _quadratic(y[inside], x[inside])
+    quadratic = polynomial_terms(y[inside], x[inside])[:6]
     terms = np.linalg.lstsq(quadratic @ quadratic.T, quadratic @ light, rcond=None)[0]
     y, x = (np.clip(axis, -1.1, 1.1) for axis in (rows[:, None], cols))
     surface = (terms[0] + terms[1] * y + terms[3] * y * y) + (terms[2] * x + terms[5] * x * x)
@@ -167,10 +168,6 @@ def _evenly_lit(frame: Image, circle: Floats) -> Image:
     even = np.subtract(frame, dark, dtype=np.float32)
     even /= np.maximum(surface, 0.2, out=surface)
     return even
-
-
-def _quadratic(y: Floats, x: Floats) -> Floats:
-    return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x])
 
 
 def _edge(smooth: Image, circle: Floats, reach: float, level: float) -> tuple[Floats, NDArray[np.intp], int]:

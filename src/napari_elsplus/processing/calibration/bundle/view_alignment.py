@@ -247,7 +247,8 @@ def _core_alignment(views: _Views, affine: CoreFit) -> Alignment:
     if best is affine or evidence[ViewModel.AFFINE] == 0 or beyond_px < MIN_DISTORTION_PX:
         containing = matcher.fit(best.coefficients, ViewModel.AFFINE)
         evidence = _evidence(containing, UNDISTORTED)
-    fit = _best_fit(matcher, containing, evidence)
+    model = min(evidence, key=lambda candidate: evidence[candidate])
+    fit = containing if model is containing.model else matcher.fit(containing.coefficients, model)
     _require_same_cores(matcher, fit, full)
     if fit.uncertainty_px(matcher.rim) > MAX_UNCERTAINTY_PX:
         raise _other_cores(fit.correlation)
@@ -287,12 +288,6 @@ def _evidence(full: CoreFit, models: Sequence[ViewModel]) -> dict[ViewModel, flo
     """Return the criterion of each model above the best one's, by a fit of one that contains them."""
     criterion = {model: full.criterion(model) for model in models}
     return {model: value - min(criterion.values()) for model, value in criterion.items()}
-
-
-def _best_fit(matcher: CoreMatcher, full: CoreFit, evidence: dict[ViewModel, float]) -> CoreFit:
-    """Return the fit of the model with the lowest criterion, given one of the fullest."""
-    model = min(evidence, key=lambda candidate: evidence[candidate])
-    return full if model is full.model else matcher.fit(full.coefficients, model)
 
 
 def _grown(matcher: CoreMatcher) -> Floats:

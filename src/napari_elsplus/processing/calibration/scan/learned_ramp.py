@@ -161,7 +161,7 @@ class RampLearner:
             )
         scans = [ScanRecord(self._scans.drive(start), before.rows)]
         best, best_scan = before, None
-        kept: tuple[GalvoResponse, Floats] | None = None
+        kept: tuple[GalvoResponse, Floats | None] | None = None
         response, highest_rate_hz = None, None
         for reach_rows in CORRECTED_ROWS:
             response = fit_galvo_response(scans, response)
@@ -184,9 +184,8 @@ class RampLearner:
             if best.count_off(AIM * self.limit_rows) == 0:
                 break
         assert response is not None
-        if kept is None:
-            return LearnedRamp(before, before, self.limit_rows, response, None, self.frames, highest_rate_hz)
-        return LearnedRamp(before, best, self.limit_rows, *kept, self.frames, highest_rate_hz)
+        learned, applied = kept or (response, None)
+        return LearnedRamp(before, best, self.limit_rows, learned, applied, self.frames, highest_rate_hz)
 
     def _measure(self, trial: Calibration, reach_rows: float, progress: ProgressWrapper, stride: int = 1) -> RowErrors:
         """Measure row errors with shifts about those at which the confocal, and the residual view is brightest."""
