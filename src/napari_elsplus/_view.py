@@ -40,6 +40,11 @@ def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
     viewer.scene.camera.zoom = FILLED * float((viewer.canvas.size / np.maximum(high - low, 1e-9)).min())
 
 
+def answer() -> None:
+    """Draw the window and run its timers between two layers, each of which takes napari a tenth of a second."""
+    QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+
 def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
     """Answer between the layers that are being opened; fit them into the canvas of a viewer that had none before.
 
@@ -61,15 +66,15 @@ def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
     opened, inserted, left = weakref.ref(viewer), viewer.layers.events.inserted, [count]
     first = not len(viewer.layers)
 
-    def answer(_: Any) -> None:
+    def answer_to(_: Any) -> None:
         left[0] -= 1
         if left[0] <= 0:
-            inserted.disconnect(answer)
-        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+            inserted.disconnect(answer_to)
+        answer()
         if left[0] <= 0 and first:
             QTimer.singleShot(SETTLED_MS, partial(_fit_unless_moved, opened, _view_of(opened())))
 
-    inserted.connect(answer, position="last")  # after napari's own reset of the view
+    inserted.connect(answer_to, position="last")  # after napari's own reset of the view
 
 
 def _fit_unless_moved(opened: weakref.ref[napari.viewer.Viewer], view: list[object]) -> None:

@@ -8,6 +8,7 @@ import weakref
 import numpy as np
 import pytest
 import tifffile
+from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus._view import SETTLED_MS
@@ -15,6 +16,7 @@ from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
 from napari_elsplus.widgets.shared.problems import problems
+from napari_elsplus.widgets.shared.window.main_window import main_window
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -56,6 +58,43 @@ def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, pane
     assert np.all(np.diff(lefts) > 2.0 * panel.display.images[0].data.shape[2])
     press(panel, qtbot)
     assert state(viewer) == before
+
+
+def test_the_window_answers_between_the_layers_and_napari_searches_little_for_garbage(viewer, panel, qtbot):
+    """Before: the window stood still until all layers were there, and longer until they were gone."""
+    events, searched = [], []
+    ticks = QTimer(panel)
+    ticks.timeout.connect(lambda: events.append("tick"))
+    ticks.start(0)
+    for emitter in (viewer.layers.events.inserted, viewer.layers.events.removed):
+        emitter.connect(lambda _: events.append("layer"))
+    viewer.layers.events.removed.connect(lambda _: searched.append(len(gc.get_objects())))
+    before = len(gc.get_objects())
+    press(panel, qtbot)
+    press(panel, qtbot)
+    ticks.stop()
+    assert events.count("layer") == 2 * len(OURS)
+    assert "layer layer" not in " ".join(events)
+    assert max(searched) < before / 2
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize("moment", ["inserted", "removed"])
+def test_the_window_closes_while_a_comparison_begins_or_ends(make_napari_viewer, tmp_path, qtbot, moment):
+    own, closed = make_napari_viewer(), []
+    own.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    _, widget = own.window.add_plugin_dock_widget(PLUGIN, "Compare")
+    qtbot.waitUntil(lambda: main_window(widget) is not None)
+    if moment == "removed":
+        press(widget, qtbot)
+    close = lambda: closed or (closed.append(True), own.close())  # noqa: E731
+    getattr(own.layers.events, moment).connect(lambda _: QTimer.singleShot(0, close))
+    with qtbot.captureExceptions() as errors:
+        widget.start.native.click()
+        qtbot.waitUntil(lambda: bool(closed), timeout=LONG_MS)
+        qtbot.wait(200)
+    assert errors == []
+    assert not widget.display.images
 
 
 def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):

@@ -43,7 +43,6 @@ from napari_elsplus.widgets.shared.panel import (
 )
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
-from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -71,7 +70,6 @@ class AxialResponsePanel(AnalysisPanel):
         super().__init__(viewer, "distance / µm", "signal")
         self.scans: list[Scan] = []
         self._manual, self._saved = ManualScan(), True
-        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
         self._build()
         self.source.changed.connect(self._source_changed)
         self.shown.changed.connect(self.show_scans)

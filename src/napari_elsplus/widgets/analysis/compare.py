@@ -128,10 +128,9 @@ class ComparePanel(AnalysisPanel):
         """Remove the images of the comparison and restore the user's layers."""
         self._blink.stop()
         self._comparison = self._source = None
-        self.display.end()
         self.plot.draw([])
         self._layers_changed()
-        self.show_numbers()
+        self.display.end()  # last: the window may be closed while it answers
 
     def cleanup(self) -> None:
         """End the comparison and disconnect from the viewer."""
@@ -235,9 +234,11 @@ class ComparePanel(AnalysisPanel):
             if self.comparing:
                 self.end()
             apart = self.view.value != BLINK
-            self.display.begin(compared, source.stack, source.calibration, apart=apart, line=line)
-            self.viewer.dims.current_step = step
             self._comparison, self._source = comparison, source.layer
+            self.display.begin(compared, source.stack, source.calibration, apart=apart, line=line)
+            if not self.comparing:
+                return  # ended while the window answered
+            self.viewer.dims.current_step = step
             self.rescale_contrast()
             if not apart:
                 self.display.show_next()

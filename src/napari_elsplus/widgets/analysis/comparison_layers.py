@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,12 +10,12 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
-from napari_elsplus._view import fit_visible_layers
+from napari_elsplus._view import answer, fit_visible_layers
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import napari.viewer
     from numpy.typing import NDArray
@@ -108,7 +109,7 @@ class ComparisonLayers:
         apart: bool = True,
         line: Line | None = None,
     ) -> None:
-        """Hide the user's layers and display the images.
+        """Hide the user's layers and display the images; the window answers after each of them.
 
         Parameters
         ----------
@@ -123,26 +124,19 @@ class ComparisonLayers:
         line : tuple, optional
             Ends of the line, (row, col) in pixels of the images; across the middle if there is none.
         """
+        gc.freeze()  # napari collects garbage at the end: of what is made from now on, not of all that a process holds
         self._hidden = {layer: layer.visible for layer in self._viewer.layers}
         self._selected = set(self._viewer.layers.selection)
         for layer in self._hidden:
             layer.visible = False
+        answer()
         self._side = images[0].planes.shape[-1]
         self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(images))]
-        for one, offset in zip(images, self._offsets_px, strict=True):
-            options = attributes(stack, one.title, calibration, origin_px=(0, offset))
-            options["name"] = f"{PREFIX} {one.title}"
-            image = Image(
-                one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
-                interpolation2d=SMOOTH, **options,
-            )  # fmt: skip
-            image.colorbar.visible = one.signed  # its grey levels are compared, those of the others are scaled
-            image.colorbar.position = "top_right" if self.images else "top_left"  # on the side of its image
-            self.images.append(image)
-            self._viewer.layers.append(image)
-        place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
-        self._add_titles(images, place)
-        self._add_line(place, line)
+        for layer in self._made(images, stack, calibration, line):
+            self._viewer.layers.append(layer)
+            answer()
+            if not self._hidden:
+                return  # ended while the window answered
         camera = self._viewer.scene.camera
         self._camera = (camera.center, camera.zoom)
         fit_visible_layers(self._viewer)
@@ -150,10 +144,14 @@ class ComparisonLayers:
     def end(self) -> None:
         """Remove the images and the line, and restore the user's layers."""
         ours, self.images, self._line, self._titles = self._layers(), [], None, None
-        self._viewer.layers.selection = {layer for layer in ours if layer in self._viewer.layers}
-        self._viewer.layers.remove_selected()  # all at once: napari collects garbage after each removal
+        for layer in ours:
+            if layer in self._viewer.layers:
+                self._viewer.layers.remove(layer)
+                answer()
+        gc.unfreeze()
         for layer, visible in self._hidden.items():
             layer.visible = visible
+        answer()
         if self._hidden:
             self._viewer.layers.selection = {layer for layer in self._selected if layer in self._viewer.layers}
         if self._camera is not None:
@@ -198,25 +196,38 @@ class ComparisonLayers:
         marks = (self._titles, self._line)
         return [*self.images, *(mark for mark in marks if mark is not None)]
 
-    def _add_titles(self, images: Sequence[ComparedImage], place: dict[str, Any]) -> None:
+    def _made(
+        self, images: Sequence[ComparedImage], stack: Stack, calibration: Calibration, line: Line | None
+    ) -> Iterator[Image | Points | Shapes]:
+        """Make the layers, one after the other; the line last, in the mode in which the mouse draws another."""
+        for one, offset in zip(images, self._offsets_px, strict=True):
+            options = attributes(stack, one.title, calibration, origin_px=(0, offset))
+            options["name"] = f"{PREFIX} {one.title}"
+            image = Image(
+                one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
+                interpolation2d=SMOOTH, **options,
+            )  # fmt: skip
+            image.colorbar.visible = one.signed  # its grey levels are compared, those of the others are scaled
+            image.colorbar.position = "top_right" if self.images else "top_left"  # on the side of its image
+            self.images.append(image)
+            yield image
+        place = {key: options[key][1:] for key in ("scale", "units", "axis_labels")}
         self._title_texts = [one.title for one in images]
         corners = [(-TITLE_RISE * self._side, offset) for offset in self._offsets_px]
         colours = [one.colour for one in images]
-        data, attributes, _ = titles_layer(f"{PREFIX} titles", self._title_texts, corners, place, colours)
-        self._titles = Points(data, **attributes)
+        data, words, _ = titles_layer(f"{PREFIX} titles", self._title_texts, corners, place, colours)
+        self._titles = Points(data, **words)
         self._titles.editable = False
-        self._viewer.layers.append(self._titles)
-
-    def _add_line(self, place: dict[str, Any], line: Line | None) -> None:
+        yield self._titles
         middle = (self._side - 1) / 2
         start, end = line or ((middle, share * self._side) for share in _LINE_SHARE)
         self._line = Shapes(
             [np.array([start, end])], shape_type="line", name=f"{PREFIX} line", edge_width=self._line_px,
             edge_color=LINE_COLOUR, **place,
         )  # fmt: skip
-        self._viewer.layers.append(self._line)
         self._line.events.data.connect(self._line_changed)
         self.set_line(start, end)
+        yield self._line
         self._line.mode = "add_line"
 
     def _line_changed(self, event: Any) -> None:

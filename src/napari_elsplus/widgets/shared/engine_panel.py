@@ -16,7 +16,6 @@ from napari_elsplus.widgets.shared.panel import Panel
 from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
 from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
-from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class EnginePanel(Panel):
-    """A docked panel that uses the engine, and releases it when the dock or the window is closed.
+    """A docked panel that uses the engine, and releases it at its end.
 
     Parameters
     ----------
@@ -51,7 +50,6 @@ class EnginePanel(Panel):
         self._leave = _once(self.connection.leave)
         self.destroyed.connect(self._leave)  # also where its window is closed before the panel was found docked in it
         self._parks = 0
-        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
     @property
     def waiting(self) -> bool:
@@ -60,10 +58,6 @@ class EnginePanel(Panel):
 
     def refresh(self) -> None:
         """Update what the panel shows; called after each answer of the engine, and by the panel's own timer."""
-
-    def unsaved(self) -> str:
-        """Return a question if closing the window would lose a result; else an empty string."""
-        return ""
 
     def prepare_rig(self, then: Callable[[EngineClient], None]) -> None:
         """Connect to the rig used last unless one is connected, and give it a calibration; then go on.

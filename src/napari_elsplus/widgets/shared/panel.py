@@ -16,6 +16,7 @@ from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.scrolling import PanelScrollArea
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class _OnePerViewer(type(QWidget)):  # type: ignore[misc]
 
 
 class Panel(QWidget, metaclass=_OnePerViewer):
-    """A docked panel that disconnects from the viewer when it is removed from the window.
+    """A docked panel that disconnects from the viewer when it is removed from the window, or the window is closed.
 
     A viewer has one panel of a class: to construct it again returns the same, to be docked elsewhere. So nothing is
     displayed, measured or bound to a key twice.
@@ -61,6 +62,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         self.viewer = viewer
         self._connections: list[tuple[Any, Callable[..., None]]] = []
         self.setAcceptDrops(True)
+        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
 
     def connect_signal(self, emitter: Any, slot: Callable[..., None]) -> None:
         """Connect a signal of the viewer until the panel is removed.
@@ -74,6 +76,10 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         """
         emitter.connect(slot)
         self._connections.append((emitter, slot))
+
+    def unsaved(self) -> str:
+        """Return a question if closing the window would lose a result; else an empty string."""
+        return ""
 
     def open_dropped(self, path: Path) -> None:
         """Open the file or folder at a dropped `path`: as layers, unless a panel overrides this."""
