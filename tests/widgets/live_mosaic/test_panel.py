@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,21 @@ def test_an_unsaved_live_mosaic_is_cleared_only_if_the_user_agrees(viewer, panel
     panel.form.clearing.native.click()
     qtbot.waitUntil(lambda: panel.connection.client.status.track is None, timeout=30_000)
     assert "mosaic LS" not in viewer.layers
+
+
+def test_a_live_mosaic_that_is_being_prepared_is_cancelled_at_once(panel, qtbot):
+    """Before: nothing could be pressed while the first one compiled kernels, for some ten seconds."""
+    client, prepared, commanded = panel.connection.client, Future(), []
+    client.track = lambda plan: (commanded.append(plan), prepared)[1]
+    panel.form.going_live.native.click()
+    qtbot.waitUntil(lambda: panel.form.going_live.text == "Cancel", timeout=30_000)
+    panel.form.going_live.native.click()
+    assert commanded == [panel.form.plan, None]
+    assert not panel.waiting
+    assert (panel.form.going_live.text, panel.form.going_live.enabled) == ("Live mosaic", True)
+    prepared.set_result(None)
+    qtbot.wait(200)
+    assert not client.status.live
 
 
 def test_a_stack_that_cannot_be_used_leaves_the_live_mosaic_as_it_is(viewer, panel, qtbot, go_live):

@@ -136,7 +136,7 @@ class MosaicForm:
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 
-    def set_enabled(self, *, busy: bool, requesting: bool, present: bool, live: bool, calibrating: bool) -> None:
+    def set_enabled(self, *, busy: bool, requesting: bool, present: bool, live: bool, cancels: str) -> None:
         """Enable the buttons that can be used; the tooltips of the others state the reason.
 
         Parameters
@@ -147,15 +147,17 @@ class MosaicForm:
             A request to the engine is outstanding.
         present : bool
             There is a mosaic.
-        live, calibrating : bool
-            The engine is making a mosaic, or calibrating.
+        live : bool
+            The engine is making a mosaic.
+        cancels : str
+            Text of the button while it cancels what the engine does instead; else empty.
         """
         layer = self.recording.layer
         self.finished.visible = is_uncalibrated(layer)
         ticked, given = bool(self.finished.value), self.calibration_file is not None
         self.modes_note.setVisible(layer is not None and are_finished_images(layer, ticked=ticked, calibrated=given))
-        self.going_live.text = "Cancel calibration" if calibrating else "Stop live" if live else "Live mosaic"
-        self.going_live.enabled = calibrating or not (busy or requesting)
+        self.going_live.text = cancels or ("Stop live" if live else "Live mosaic")
+        self.going_live.enabled = bool(cancels) or not (busy or requesting)
         self.going_live.tooltip = (
             f"Stop inserting frames, after the last loop closures; the mosaic remains ({key_name('live mosaic')})"
             if live

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from napari.layers import Image
 
     from napari_elsplus.acquisition.link.client import EngineClient
+    from napari_elsplus.widgets.shared.requests import Outstanding
 
 TICK_MS: Final = 40
 """Interval at which mosaics are updated, milliseconds; chosen, 25 Hz."""
@@ -67,6 +68,7 @@ class MosaicPanel(EnginePanel):
         self._ticks = 0
         self._stale = False
         self._following_live, self._cleared_board = True, ""
+        self._preparation: Outstanding | None = None
         self.form = MosaicForm(self, self.work, viewer)
         self.form.connect(
             {
@@ -136,11 +138,18 @@ class MosaicPanel(EnginePanel):
         track = None if client is None else client.status.track
         return track is not None and track.running
 
+    @property
+    def preparing(self) -> bool:
+        """True while the engine prepares a live mosaic; the first one compiles kernels."""
+        return self.requests.waits_for(self._preparation)
+
     def toggle_live(self) -> None:
-        """Insert the live stream into a mosaic, connecting and starting first if needed; or stop."""
+        """Insert the live stream into a mosaic, connecting and starting first if needed; or cancel that, or stop."""
         client = self.connection.client
         if client is not None and client.status.progress is not None:
             self.requests.follow(client.cancel())
+        elif client is not None and self.preparing:
+            self._give_up(client)
         elif client is not None and self.live:
             self.requests.follow(client.track(None))
         elif self._may_replace("The new live mosaic"):
@@ -246,9 +255,8 @@ class MosaicPanel(EnginePanel):
         busy, present = self.work.busy, self._shown is not None
         client = self.connection.client
         calibrating = client is not None and client.status.progress is not None
-        self.form.set_enabled(
-            busy=busy, requesting=self.waiting, present=present, live=self.live, calibrating=calibrating
-        )
+        cancels = "Cancel calibration" if calibrating else "Cancel" if self.preparing else ""
+        self.form.set_enabled(busy=busy, requesting=self.waiting, present=present, live=self.live, cancels=cancels)
         self.form.status.setText(self._status_text())
         if self._shown is not None:
             scale = self._shown.scale
@@ -274,7 +282,14 @@ class MosaicPanel(EnginePanel):
         with notify_errors(self):
             plan = self.form.plan
             self.form.remember()
-            self.requests.follow(client.track(plan), then)
+            self._preparation = self.requests.follow(client.track(plan), then)
+
+    def _give_up(self, client: EngineClient) -> None:
+        """Wait no longer for a live mosaic; the engine ends it once it is prepared, the kernels for the next one."""
+        assert self._preparation is not None
+        self.requests.forget(self._preparation)
+        self._following_live = False
+        client.track(None)
 
     def _follow_live(self) -> None:
         """Display the engine's mosaic if there is a new one; keep the last one after the engine's end."""

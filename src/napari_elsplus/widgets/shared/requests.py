@@ -25,7 +25,7 @@ POLL_MS: Final = 30
 """Interval at which futures are tested, milliseconds; chosen well below the 200 ms within which a click must act."""
 
 
-class _Request(NamedTuple):
+class Outstanding(NamedTuple):
     """A future and its callbacks."""
 
     future: Future[Any]
@@ -74,7 +74,7 @@ class PendingRequests(QObject):
     def __init__(self, parent: QWidget, settled: Callable[[], None]) -> None:
         super().__init__(parent)
         self._panel, self._settled = parent, settled
-        self._open: list[_Request] = []
+        self._open: list[Outstanding] = []
         self._pool = ThreadPoolExecutor(1, "elsplus-requests")
         self._poll = timer(self, POLL_MS, self._deliver)
 
@@ -88,7 +88,7 @@ class PendingRequests(QObject):
         future: Future[T],
         then: Callable[[T], None] = lambda _: None,
         failed: Callable[[], None] = lambda: None,
-    ) -> None:
+    ) -> Outstanding:
         """Deliver the result of a future; show an expected error once.
 
         Parameters
@@ -99,9 +99,24 @@ class PendingRequests(QObject):
             Called with the result.
         failed : callable
             Called after an error that was shown.
+
+        Returns
+        -------
+        Outstanding
+            For :meth:`forget`.
         """
-        self._open.append(_Request(future, then, failed))
+        request = Outstanding(future, then, failed)
+        self._open.append(request)
         self._poll.start()
+        return request
+
+    def forget(self, request: Outstanding) -> None:
+        """Deliver neither result nor error of an outstanding `request`."""
+        self._open.remove(request)
+
+    def waits_for(self, request: Outstanding | None) -> bool:
+        """Return True while a `request` is outstanding."""
+        return request in self._open
 
     def run(self, work: Callable[[], T], then: Callable[[T], None] = lambda _: None) -> None:
         """Run a slow function in a thread, one at a time, then deliver its result.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
 from qtpy.QtCore import QLocale, Qt
-from qtpy.QtWidgets import QDoubleSpinBox, QLabel, QScrollArea, QSpinBox, QWidget
+from qtpy.QtWidgets import QApplication, QDoubleSpinBox, QLabel, QScrollArea, QSpinBox, QWidget
 
 from napari_elsplus.widgets.shared.panel import form_layout, panel_layout
 
@@ -57,3 +57,39 @@ def test_decimal_points_and_commas_are_understood_in_every_language_and_points_w
     qtbot.keyClick(field, Qt.Key.Key_Return)
     assert field.value() == 7.648
     assert field.text() == "7.6480"
+
+
+@pytest.mark.parametrize("copied", ["7,648", "7.648", " 7,648\t", "7,648\r\n"])
+def test_a_number_that_is_pasted_from_a_spreadsheet_is_understood_and_passes_no_other_value(qtbot, copied):
+    """Before: 7,648 was pasted as 7648, and one with a blank not at all."""
+    panel, values = QWidget(), []
+    qtbot.addWidget(panel)
+    field = QDoubleSpinBox()
+    field.setDecimals(4)
+    field.setRange(0, 10_000)
+    panel_layout(panel).addWidget(field)
+    panel.show()
+    qtbot.waitExposed(panel)
+    field.valueChanged.connect(values.append)
+    QApplication.clipboard().setText(copied)
+    field.selectAll()
+    field.lineEdit().paste()
+    qtbot.keyClick(field, Qt.Key.Key_Return)
+    assert set(values) == {7.648}
+    assert field.text() == "7.6480"
+
+
+def test_a_number_with_thousands_is_not_taken_for_another(qtbot):
+    panel = QWidget()
+    qtbot.addWidget(panel)
+    field = QDoubleSpinBox()
+    field.setRange(0, 10_000)
+    field.setValue(5)
+    panel_layout(panel).addWidget(field)
+    panel.show()
+    qtbot.waitExposed(panel)
+    QApplication.clipboard().setText("1.234,5")
+    field.selectAll()
+    field.lineEdit().paste()
+    qtbot.keyClick(field, Qt.Key.Key_Return)
+    assert field.value() == 5

@@ -6,7 +6,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 from qtpy.QtCore import QEvent, QLocale, QObject, QSize, Qt
-from qtpy.QtGui import QKeyEvent
+from qtpy.QtGui import QValidator
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
     QApplication,
@@ -29,6 +29,28 @@ canvas leave 532 of 1280. Where tabs or panels need more, in larger fonts, they 
 
 FIELDS: Final = QAbstractSpinBox, QComboBox
 """Kinds of fields that the wheel would change."""
+
+
+class _DecimalComma(QValidator):
+    """Takes a comma that is typed, pasted or dropped for a point, and leaves out the blanks around a pasted number.
+
+    Qt takes the comma for a separator of thousands: 7,648 would be 7648, or 764 where that is too large.
+
+    Parameters
+    ----------
+    field : QDoubleSpinBox
+        Of the language C.
+    """
+
+    def __init__(self, field: QDoubleSpinBox) -> None:
+        super().__init__(field)
+        self._field = field
+
+    def validate(self, text: str | None, cursor: int) -> tuple[QValidator.State, str, int]:
+        """Validate a text with its cursor; see :meth:`QValidator.validate`."""
+        number = (text or "").replace(",", ".").strip()
+        state, number, cursor = self._field.validate(number, min(cursor, len(number)))
+        return state, number, cursor
 
 
 class PanelScrollArea(QScrollArea):
@@ -67,18 +89,14 @@ class PanelScrollArea(QScrollArea):
             field.setLocale(QLocale.c())
             field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
             field.installEventFilter(self)
+            if isinstance(field, QDoubleSpinBox) and not field.findChild(_DecimalComma):
+                line = field.lineEdit()
+                assert line is not None
+                line.setValidator(_DecimalComma(field))
         super().showEvent(event)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Scroll by the wheel over a field, write a typed comma as a point; follow the content's smallest width.
-
-        Qt takes the comma for a separator of thousands: 7,648 would be 764. See :meth:`QObject.eventFilter`.
-        """
-        if isinstance(watched, QDoubleSpinBox) and isinstance(event, QKeyEvent):
-            line = watched.lineEdit()
-            if line is not None and event.type() == QEvent.Type.KeyPress and event.text() == ",":
-                line.insert(".")
-                return True
+        """Scroll by the wheel over a field; follow the content's smallest width; see :meth:`QObject.eventFilter`."""
         if event is not None and event.type() == QEvent.Type.Wheel and isinstance(watched, FIELDS):
             QApplication.sendEvent(self.viewport(), event)
             return True
