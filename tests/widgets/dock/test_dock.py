@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from napari.settings import get_settings
 from npe2 import PluginManifest
-from qtpy.QtWidgets import QScrollArea
+from qtpy.QtCore import QSize
+from qtpy.QtWidgets import QPushButton, QScrollArea, QWidget
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
@@ -101,6 +103,25 @@ def test_the_window_fits_a_laptop_with_fonts_of_any_size(viewer, dock, qtbot, fo
             assert scroll.horizontalScrollBar().maximum() == 0, title
         else:
             assert scroll.horizontalScrollBar().maximum() > 0 or scroll.widget().minimumSizeHint().width() < 525
+
+
+def test_on_a_screen_of_half_a_laptop_panels_scroll_and_what_saves_and_starts_is_in_view(viewer, qtbot, monkeypatch):
+    """Before: 1600 x 1000 pixels scaled by 2 showed the left half of each panel, and Compare's Save not at all."""
+    monkeypatch.setattr(QWidget, "screen", lambda _: SimpleNamespace(availableSize=lambda: QSize(800, 500)))
+    _, dock = viewer.window.add_plugin_dock_widget(PLUGIN, "ELS+")
+    qtbot.waitUntil(lambda: all(tab.built for tab in dock.by_title.values()), timeout=30_000)
+    viewer.window.show()
+    viewer.window.resize(800, 500)
+    wanted = {"Live": "Start", "Mosaic": "Save...", "Compare": "Save figure...", "Axial response": "Save..."}
+    for title in dock.by_title:
+        dock.show_tab(title)
+        qtbot.wait(50)
+        assert dock.window().minimumSizeHint().width() <= 800, title
+        scroll = panel(dock, title).findChild(QScrollArea)
+        assert scroll.widget().width() - scroll.viewport().width() == scroll.horizontalScrollBar().maximum()
+        texts = {button.text(): button for button in panel(dock, title).findChildren(QPushButton)}
+        if title in wanted:
+            assert not texts[wanted[title]].visibleRegion().isEmpty(), title
 
 
 def test_a_panel_in_a_dock_of_its_own_beside_the_others_fits_the_window_of_a_laptop(viewer, dock, qtbot):

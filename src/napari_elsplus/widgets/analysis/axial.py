@@ -38,6 +38,7 @@ from napari_elsplus.widgets.shared.panel import (
     form_layout,
     next_hint,
     panel_layout,
+    pin_below,
     push_button,
     set_enabled,
 )
@@ -198,7 +199,7 @@ class AxialResponsePanel(AnalysisPanel):
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
-        layout.addLayout(button_row(self.script, self.save, self.clear))
+        pin_below(self, button_row(self.script, self.save, self.clear))
 
     @property
     def _depths(self) -> int:

@@ -39,6 +39,7 @@ from napari_elsplus.widgets.shared.panel import (
     form_layout,
     next_hint,
     panel_layout,
+    pin_below,
     push_button,
     set_enabled,
     timer,
@@ -221,7 +222,7 @@ class ComparePanel(AnalysisPanel):
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
-        layout.addLayout(button_row(self.save_figure, self.save, self.script))
+        pin_below(self, button_row(self.save_figure, self.save, self.script))
 
     def _show(self, comparison: Comparison, source: ChosenRecording) -> None:
         """Hide the user's layers and display the images, in place of an earlier comparison."""

@@ -40,6 +40,7 @@ from napari_elsplus.widgets.shared.panel import (
     form_layout,
     next_hint,
     panel_layout,
+    pin_below,
     push_button,
     set_enabled,
 )
@@ -199,7 +200,7 @@ class QualityPanel(AnalysisPanel):
         layout.addWidget(self.work)
         layout.addWidget(self.numbers)
         layout.addWidget(self.plot, 1)
-        layout.addLayout(button_row(self.script, self.save))
+        pin_below(self, button_row(self.script, self.save))
 
     def _chosen(self) -> tuple[Stack, Calibration, int]:
         layer, stack, calibration, _ = chosen_recording(self.recording)

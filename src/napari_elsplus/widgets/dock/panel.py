@@ -11,7 +11,7 @@ from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.dock.tab import MIN_WIDTH_PX, PanelKind, Tab
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import timer
-from napari_elsplus.widgets.shared.window.scrolling import MAX_MIN_WIDTH_PX
+from napari_elsplus.widgets.shared.window.scrolling import width_limit_px
 
 if TYPE_CHECKING:
     import napari.viewer
@@ -41,7 +41,7 @@ class _Tabs(QTabWidget):
         """Return the width of the tabs within the dock's limits, and the height of a panel that scrolls."""
         bar = self.tabBar()
         tabs_px = bar.sizeHint().width() if bar is not None else 0
-        width_px = max(MIN_WIDTH_PX, min(tabs_px, MAX_MIN_WIDTH_PX))
+        width_px = min(max(MIN_WIDTH_PX, tabs_px), width_limit_px(self))
         return super().minimumSizeHint().expandedTo(QSize(width_px, 0))
 
 

@@ -234,12 +234,19 @@ def panel_layout(panel: QWidget) -> QVBoxLayout:
 
 
 def pin_below(panel: QWidget, row: QLayout) -> None:
-    """Add a `row` of buttons below the rows of a `panel` that scroll, which has the layout of :func:`panel_layout`."""
+    """Add a `row` of buttons below the rows of a `panel` that scroll, which has the layout of :func:`panel_layout`.
+
+    They are in view on any screen, narrower than their texts on one too narrow for them.
+    """
     outer, scroll = panel.layout(), panel.findChild(PanelScrollArea)
     assert isinstance(outer, QVBoxLayout)
     assert scroll is not None
     row.setContentsMargins(*[MARGIN_PX] * 4)
     outer.addLayout(row)
+    for index in range(row.count()):
+        item = row.itemAt(index)
+        if item is not None and (button := item.widget()) is not None:
+            button.setMinimumWidth(1)
     scroll.below = row
 
 

@@ -26,6 +26,10 @@ MIN_HEIGHT_PX: Final = 260
 MAX_MIN_WIDTH_PX: Final = 525
 """Largest width that the dock demands, pixels; measured: with a font of 13 points napari's own docks and the smallest
 canvas leave 532 of 1280. Where tabs or panels need more, in larger fonts, they scroll."""
+NAPARI_WIDTH_PX: Final = 626
+"""Width of napari's own docks and smallest canvas, and of the dock's frame, pixels; measured."""
+LEAST_WIDTH_PX: Final = 174
+"""Width that the dock demands on any screen, pixels; chosen: what is left of 800, a screen of 1600 scaled by 2."""
 
 FIELDS: Final = QAbstractSpinBox, QComboBox
 """Kinds of fields that the wheel would change."""
@@ -51,6 +55,13 @@ class _DecimalComma(QValidator):
         number = (text or "").replace(",", ".").strip()
         state, number, cursor = self._field.validate(number, min(cursor, len(number)))
         return state, number, cursor
+
+
+def width_limit_px(widget: QWidget) -> int:
+    """Return the largest width that the dock may demand on the screen of a `widget`, in pixels."""
+    screen = widget.screen()
+    left_px = MAX_MIN_WIDTH_PX if screen is None else screen.availableSize().width() - NAPARI_WIDTH_PX
+    return max(LEAST_WIDTH_PX, min(left_px, MAX_MIN_WIDTH_PX))
 
 
 class PanelScrollArea(QScrollArea):
@@ -81,7 +92,7 @@ class PanelScrollArea(QScrollArea):
         content, bar = self.widget(), self.verticalScrollBar()
         width_px = (content.minimumSizeHint().width() if content else 0) + (bar.sizeHint().width() if bar else 0)
         below_px = 0 if self.below is None else self.below.sizeHint().height()
-        return QSize(min(width_px, MAX_MIN_WIDTH_PX), MIN_HEIGHT_PX - below_px)
+        return QSize(min(width_px, width_limit_px(self)), MIN_HEIGHT_PX - below_px)
 
     def showEvent(self, event: QShowEvent | None) -> None:
         """Watch the fields, and have them write numbers with a point, as texts do; see :meth:`QWidget.showEvent`."""
