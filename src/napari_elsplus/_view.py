@@ -13,7 +13,11 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus.viewing.common_axes import PIXEL
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import napari.viewer
+    from napari.layers import Layer
+    from numpy.typing import NDArray
 
 FILLED: Final = 0.95
 """Share of the canvas that the layers fill, as with napari's own reset of the view."""
@@ -21,7 +25,7 @@ SETTLED_MS: Final = 50
 """Time from the last layer until all are laid out, milliseconds; chosen, some turns of the loop."""
 
 
-def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
+def fit_visible_layers(viewer: napari.viewer.Viewer, parts: Mapping[Layer, NDArray[np.float64]] | None = None) -> None:
     """Fit the visible layers into the canvas.
 
     napari's reset of the view fits the hidden ones, too, among them raw frames that are wider than their images.
@@ -30,8 +34,11 @@ def fit_visible_layers(viewer: napari.viewer.Viewer) -> None:
     ----------
     viewer : napari.Viewer
         Displays two dimensions.
+    parts : mapping of Layer to (2, 2) numpy.ndarray, optional
+        First and last corner, in the world, of what is fitted of some layers; of the others all.
     """
-    extents = [layer.extent.world[:, -2:] for layer in viewer.layers if layer.visible]
+    fitted = parts or {}
+    extents = [fitted.get(layer, layer.extent.world[:, -2:]) for layer in viewer.layers if layer.visible]
     extents = [one for one in extents if np.isfinite(one).all()]  # layers without points have none
     if not extents:
         return

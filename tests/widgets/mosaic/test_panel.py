@@ -17,6 +17,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus._view import FILLED
 from napari_elsplus.io import open_recording, read_track, write_calibration, write_images
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.mosaic.panel import MosaicPanel
@@ -56,6 +57,12 @@ def make(panel, qtbot):
 
 def mosaics(viewer):
     return {layer.name for layer in viewer.layers if layer.name.startswith("mosaic")}
+
+
+def drawn_corners(layer):
+    """Return the world positions of the first and the last pixel of a mosaic."""
+    drawn = np.argwhere(np.isfinite(np.asarray(layer.data[0])))
+    return np.array([layer.data_to_world(corner) for corner in (drawn.min(axis=0), drawn.max(axis=0))])
 
 
 def test_layers_are_created_one_in_each_update_so_that_the_window_answers_between_them(
@@ -110,10 +117,10 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     assert np.all(np.diff([layer.extent.world[0, 1] for layer in (ls, elsa, els)]) > 0)
     assert els.extent.world[0, 1] > elsa.extent.world[1, 1] > ls.extent.world[1, 1]
     titles = viewer.layers["mosaic titles"]
-    lefts = {layer.name: layer.extent.world[0, 1] for layer in (ls, elsa, els)}
+    lefts = {layer.name: drawn_corners(layer)[0, 1] for layer in (ls, elsa, els)}
     assert {f"mosaic {title}" for title in titles.text.values} == set(lefts)
     for title, corner in zip(titles.text.values, titles.data, strict=True):
-        assert titles.data_to_world(corner)[-1] == pytest.approx(lefts[f"mosaic {title}"], abs=2.3)
+        assert titles.data_to_world(corner)[-1] == pytest.approx(lefts[f"mosaic {title}"], abs=4 * 2.3)
     um = 2.3 * 1
     assert els.scale == pytest.approx([um, um])
     assert [str(unit) for unit in els.units] == ["micrometer"] * 2
@@ -125,6 +132,16 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
     np.testing.assert_allclose(way, expected, atol=0.5)
     assert f"<b>{FRAMES}</b> of {FRAMES} frames tracked" in panel.form.status.text()
     assert "mm/s (limit" in panel.form.speed.text
+
+
+def test_what_is_drawn_fills_the_view(viewer, panel, qtbot):
+    """Before: the view showed the layer's extent, whose edges are multiples of 256 pixels."""
+    make(panel, qtbot)
+    layer, camera = viewer.layers["mosaic ELS+"], viewer.scene.camera
+    corners = drawn_corners(layer)
+    np.testing.assert_allclose(camera.center[-2:], corners.mean(axis=0), atol=4 * np.max(layer.scale))
+    filled = np.ptp(corners, axis=0) * camera.zoom / viewer.canvas.size
+    assert filled.max() == pytest.approx(FILLED, abs=0.03)
 
 
 def test_maps_are_filled_when_they_are_looked_at(viewer, panel, qtbot):

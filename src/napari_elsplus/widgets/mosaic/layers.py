@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     import napari.viewer
+    from numpy.typing import NDArray
 
     from napari_elsplus.processing.images.sectioning import Mode
     from napari_elsplus.viewing.mosaic.growing import Change
@@ -144,7 +145,7 @@ class MosaicLayers:
         self._show_images(changes, reframed, whole)
         if reframed or whole:
             self._draw_over(mosaics)
-        if reframed:
+        if reframed or whole:
             self._fit_camera()
         return moved or any(change.pixels for change in changes.values())
 
@@ -169,20 +170,17 @@ class MosaicLayers:
             if reframed:
                 row, col = self._place(mode)
                 layer.translate = (row + image.frame.top * own.step, col + image.frame.left * own.step)
-        if reframed and len(self._images) > 1:
+        if (reframed or whole) and len(self._images) > 1:
             self._draw_titles()
 
     def _draw_titles(self) -> None:
         """Write the title of each mosaic above it."""
-        drawn, step = {mode: image.frame for mode, image in self._images.items() if image.levels}, self.own.step
-        places = {mode: np.array(self._place(mode)) / step for mode in drawn}
-        corners = [
-            (places[mode][0] + frame.top - TITLE_RISE * frame.shape[0], places[mode][1] + frame.left)
-            for mode, frame in drawn.items()
-        ]
+        step, drawn = self.own.step, self._drawn()
+        corners = [(top - TITLE_RISE * (bottom - top), left) for (top, left), (bottom, _) in drawn.values()]
+        corners = [(row / step, col / step) for row, col in corners]
         data, attributes, _ = titles_layer("mosaic titles", [mode.label for mode in drawn], corners, {})
         layer, made = self.own.obtain(NAMES, lambda: Points(data, **attributes))
-        if layer is not None and not made:
+        if layer is not None and not made and not np.array_equal(layer.data, data):
             layer.data, layer.features = data, attributes["features"]
 
     def _made(self, mode: Mode, image: GrowingImage) -> Image:
@@ -216,6 +214,12 @@ class MosaicLayers:
         row, col = self._origin
         return row, col + left_px * self.own.step
 
+    def _drawn(self) -> dict[Mode, NDArray[np.float64]]:
+        """Return the first and last corner, in the world, of what is drawn of each mosaic; its frame is larger."""
+        parts = {mode: image.sheet.drawn for mode, image in self._images.items() if image.levels}
+        edges = {mode: np.reshape(part, (2, 2)) for mode, part in parts.items() if part is not None}
+        return {mode: np.array(self._place(mode)) + self.own.step * corners for mode, corners in edges.items()}
+
     @property
     def _is_covered(self) -> bool:
         """True if other layers now cover the place of the mosaics."""
@@ -235,9 +239,12 @@ class MosaicLayers:
         return float(top - frame.top * step), float(right + (GAP_PX - frame.left) * step)
 
     def _fit_camera(self) -> None:
-        """Show all visible layers, unless the user has moved the camera."""
+        """Show what is drawn, and all other visible layers, unless the user has moved the camera."""
         camera = self._viewer.scene.camera
         if self._camera is not None and (tuple(camera.center), camera.zoom) != self._camera:
             return
-        fit_visible_layers(self._viewer)
+        present, drawn = self.own.present, self._drawn()
+        parts = {present[mode.value]: corners for mode, corners in drawn.items() if mode.value in present}
+        parts |= {present[kind]: drawn[self._lead] for kind in (COVERAGE, QUALITY) if kind in present}
+        fit_visible_layers(self._viewer, parts)
         self._camera = (tuple(camera.center), camera.zoom)
