@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from napari_elsplus._view import remove_layers
 from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.steps import PAIR
 from napari_elsplus.viewing.common_axes import plane_axes
@@ -66,7 +67,7 @@ def _remove(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None:
     for layer in layers:
         for covered in layer.metadata.get(COVERED_KEY, ()):
             covered.visible = True
-        viewer.layers.remove(layer)
+    remove_layers(viewer, layers)
     if layers and not viewer.layers.selection:
         selected = {layer for one in layers for layer in one.metadata.get(SELECTED_KEY, ())}
         viewer.layers.selection = selected.intersection(viewer.layers)

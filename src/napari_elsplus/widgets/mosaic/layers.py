@@ -245,6 +245,7 @@ class MosaicLayers:
             return
         present, drawn = self.own.present, self._drawn()
         parts = {present[mode.value]: corners for mode, corners in drawn.items() if mode.value in present}
-        parts |= {present[kind]: drawn[self._lead] for kind in (COVERAGE, QUALITY) if kind in present}
+        if self._lead in drawn:
+            parts |= {present[kind]: drawn[self._lead] for kind in (COVERAGE, QUALITY) if kind in present}
         fit_visible_layers(self._viewer, parts)
         self._camera = (tuple(camera.center), camera.zoom)

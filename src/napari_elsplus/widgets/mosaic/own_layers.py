@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from napari_elsplus._view import remove_layers
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import MOSAIC
@@ -65,9 +66,7 @@ class OwnLayers:
         ours = list(self.present.values())
         self._obtained, self.postponed = set(), False
         self._axes, self._adopted = plane_axes(um_per_px, [one for one in self._viewer.layers if one not in ours])
-        for kind, layer in self.present.items():
-            if kind not in kinds:
-                self._viewer.layers.remove(layer)
+        remove_layers(self._viewer, [layer for kind, layer in self.present.items() if kind not in kinds])
 
     def begin_update(self) -> None:
         """Allow that one more layer is created."""
@@ -75,8 +74,7 @@ class OwnLayers:
 
     def clear(self) -> None:
         """Remove all of them."""
-        for layer in self.present.values():
-            self._viewer.layers.remove(layer)
+        remove_layers(self._viewer, list(self.present.values()))
 
     def is_new(self, kind: str) -> bool:
         """Return True if no layer of this kind was obtained for the present mosaic yet."""
