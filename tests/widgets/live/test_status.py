@@ -49,6 +49,20 @@ def test_rates_latency_losses_and_disk_are_stated(tmp_path: Path):
     assert "10 min of disk space left" in text
 
 
+def test_a_stream_that_begins_states_no_rate_yet():
+    """Before: nan Hz."""
+    text = status_text(Status(live=True, camera_hz=float("nan")), None, 0.0, busy=False)
+    assert "camera ... Hz, display 0 Hz, latency ... ms" in text
+
+
+def test_the_status_goes_on_where_the_folder_of_the_recording_has_gone(tmp_path: Path):
+    """Before: an error at every update, as of a network drive that was lost."""
+    recording = RecordingState(str(tmp_path / "gone" / "r.ome.tif"), 480, running=True, seconds=2.0)
+    text = status_text(Status(live=True, recording=recording, disk_bytes_per_s=1e6), None, 0.0, busy=False)
+    assert "480 frames" in text
+    assert "disk space" not in text
+
+
 def test_a_procedure_that_prepares_is_displayed_without_a_percentage(qtbot):
     bar = RequestBar()
     qtbot.addWidget(bar)

@@ -153,6 +153,7 @@ class LivePanel(EnginePanel):
         if client is None or not client.status.live:
             self._arranged = None  # the next stream, whichever panel starts it, displays its images again
             self._stream_ended = True
+            self._shown_at_s.clear()
         elif self.live and not self.canvas.pending:
             self._show_newest(client, now_s)
         if now_s - self._status_at_s > STATUS_S:

@@ -52,7 +52,8 @@ def status_text(
     lost = ", ".join(f"{count} ({cause})" for cause, count in status.dropped.items()) or "none"
     lines = [
         *waiting,
-        f"camera {status.camera_hz:.0f} Hz, display {display_hz:.0f} Hz, latency {status.latency_ms.p50:.1f} ms",
+        f"camera {_known(status.camera_hz, 0)} Hz, display {display_hz:.0f} Hz, "
+        f"latency {_known(status.latency_ms.p50, 1)} ms",
         f"lost: {lost}",
     ]
     measures = status.measures
@@ -66,6 +67,11 @@ def status_text(
     lines += stale_lines(status)
     lines += calibration_lines(calibration, calibration_file)
     return "<br>".join(lines)
+
+
+def _known(value: float, decimals: int) -> str:
+    """Return a number as text, dots before there is one."""
+    return f"{value:.{decimals}f}" if isfinite(value) else "..."
 
 
 def stale_lines(status: Status) -> list[str]:
@@ -109,7 +115,7 @@ def _recorded(status: Status) -> list[str]:
     with suppress(OSError):
         parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
     line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}"
-    if running:
+    with suppress(OSError):
         left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60
-        line += f"; {left:.0f} min of disk space left"
+        line += f"; {left:.0f} min of disk space left" if running else ""
     return [line]
