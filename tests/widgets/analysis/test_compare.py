@@ -60,6 +60,17 @@ def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, pane
     assert state(viewer) == before
 
 
+def test_a_comparison_is_of_one_frame_also_where_three_dimensions_were_displayed(viewer, panel, qtbot):
+    """Before: all frames were read, and projected onto each other beside the numbers of one."""
+    viewer.dims.ndisplay = 3
+    before = state(viewer)
+    press(panel, qtbot)
+    assert viewer.dims.ndisplay == 2
+    press(panel, qtbot)
+    assert viewer.dims.ndisplay == 3
+    assert state(viewer) == before
+
+
 def test_the_window_answers_between_the_layers_and_napari_searches_little_for_garbage(viewer, panel, qtbot):
     """Before: the window stood still until all layers were there, and longer until they were gone."""
     events, searched = [], []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tifffile
-from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QPushButton
+from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QLineEdit, QPushButton
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.widgets.analysis.axial import MANUAL
@@ -116,6 +116,22 @@ def test_every_control_has_a_tooltip_and_a_disabled_button_names_the_reason(dock
         ]
     assert bare == []
     assert silent == []
+
+
+def test_every_field_has_a_name_for_screen_readers(dock):
+    """Before: they read out the numbers alone."""
+    nameless = []
+    for title in dock.by_title:
+        own = panel(dock, title)
+        named = [label.buddy() for label in own.findChildren(QLabel)]
+        for kind in (QComboBox, QAbstractSpinBox, QLineEdit):
+            nameless += [
+                f"{title}: {one.toolTip()}"
+                for one in own.findChildren(kind)
+                if one.isVisibleTo(own)
+                and not (one.accessibleName() or one in named or isinstance(one.parent(), QAbstractSpinBox | QComboBox))
+            ]
+    assert nameless == []
 
 
 def test_a_recording_dropped_on_the_calibration_measures_the_step_and_a_calibration_is_loaded(

@@ -78,7 +78,7 @@ class ComparisonLayers:
         self._line: Shapes | None = None
         self._titles: Points | None = None
         self._title_texts: list[str] = []
-        self._camera: tuple[Any, float] | None = None
+        self._view: tuple[int, Any, float] | None = None
         self._setting_line = False
         self.images: list[Image] = []
 
@@ -125,6 +125,9 @@ class ComparisonLayers:
             Ends of the line, (row, col) in pixels of the images; across the middle if there is none.
         """
         gc.freeze()  # napari collects garbage at the end: of what is made from now on, not of all that a process holds
+        camera, dims = self._viewer.scene.camera, self._viewer.dims
+        self._view = dims.ndisplay, camera.center, camera.zoom
+        dims.ndisplay = 2  # a third dimension would be time: all frames at once
         self._hidden = {layer: layer.visible for layer in self._viewer.layers}
         self._selected = set(self._viewer.layers.selection)
         for layer in self._hidden:
@@ -137,8 +140,6 @@ class ComparisonLayers:
             answer()
             if not self._hidden:
                 return  # ended while the window answered
-        camera = self._viewer.scene.camera
-        self._camera = (camera.center, camera.zoom)
         fit_visible_layers(self._viewer)
 
     def end(self) -> None:
@@ -154,9 +155,10 @@ class ComparisonLayers:
         answer()
         if self._hidden:
             self._viewer.layers.selection = {layer for layer in self._selected if layer in self._viewer.layers}
-        if self._camera is not None:
-            self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = self._camera
-            self._camera = None
+        if self._view is not None:
+            self._viewer.dims.ndisplay, *camera = self._view
+            self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = camera
+            self._view = None
         self._hidden = {}
 
     def set_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:

@@ -73,6 +73,8 @@ class Form:
     def __init__(self, panel: QWidget, work: QWidget, theme: str) -> None:
         self.rig, self.preset = QComboBox(), QComboBox()
         self.rig.addItems(rig_names())
+        self.rig.setAccessibleName("rig")
+        self.preset.setAccessibleName("preset")
         self.rig.setToolTip("Rigs with a rig file, and the simulated rig")
         for name in PRESETS:
             self.preset.addItem(preset_label(name), name)
@@ -343,7 +345,9 @@ class Form:
             "line period (µs)": self.line_period_us,
             "periods / frame": self.periods_per_frame,
         }
-        layout.addLayout(_grid(*(QLabel(text) for text in optics), *optics.values()))
+        for text, field in optics.items():
+            field.setAccessibleName(text)
+        layout.addLayout(_grid(*map(QLabel, optics), *optics.values()))
         layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))
         layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addWidget(self.explanation)

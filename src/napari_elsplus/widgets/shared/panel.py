@@ -10,7 +10,7 @@ from weakref import WeakSet
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent, QTimer
-from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QLayout, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QLayout, QLineEdit, QVBoxLayout, QWidget
 
 from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
@@ -259,7 +259,7 @@ def button_row(*buttons: Widget) -> QHBoxLayout:
 
 
 def form_layout(*fields: Widget) -> QFormLayout:
-    """Return a layout of labelled fields, aligned; a label has the tooltip of its field.
+    """Return a layout of labelled fields, aligned; a label has its field's tooltip, and names it to screen readers.
 
     Parameters
     ----------
@@ -275,6 +275,8 @@ def form_layout(*fields: Widget) -> QFormLayout:
         else:
             label = QLabel(field.label)
             label.setToolTip(field.tooltip or "")
+            for part in (field.native, *field.native.findChildren(QLineEdit)):
+                part.setAccessibleName(field.label)
             layout.addRow(label, field.native)
     return layout
 
