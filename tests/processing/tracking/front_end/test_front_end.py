@@ -88,6 +88,23 @@ def test_background_and_flat_leave_the_scene() -> None:
     assert np.abs(image - 50)[inside(front_end.grid, 0.9)].max() < 0.2
 
 
+def test_light_of_a_cluster_of_dead_cores_is_not_left_dark() -> None:
+    """It would stand still in all frames, and be followed; what cores around it add there is a tenth of the light."""
+    middle = np.arange(293) - 146
+    dead = np.hypot(middle[:, None] - 20, middle - 30) < 12
+    flat = np.where(dead, 0.1, 1.0).astype(np.float32)
+    record = calibration(280.0).model_copy(update={"flat": flat})
+    raw = np.zeros(SHAPE, np.float32)
+    at = np.round(LEFT).astype(int) - 146
+    raw[at[0] : at[0] + 293, at[1] : at[1] + 293] = 1000 * flat
+    front_end = FrontEnd(record, SHAPE, Mode.LS)
+    grid = front_end.grid
+    image = front_end.image(raw, np.empty((grid.side, grid.side), np.float32))
+    y, x = np.mgrid[: grid.side, : grid.side]
+    cluster = np.hypot(y - grid.centre[0] - 20, x - grid.centre[1] - 30) < 8
+    assert np.abs(image[cluster] / 1000 - 1).max() < 0.1
+
+
 @pytest.mark.parametrize(("diameter", "pitch_px"), [(400.0, 2.6), (280.0, 2.4)])
 def test_flat_field_leaves_none_of_the_pattern_of_the_cores(diameter: float, pitch_px: float) -> None:
     """Smooth tissue has a texture of a few per cent, and a pattern that stays holds its registration back."""
