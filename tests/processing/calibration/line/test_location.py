@@ -60,6 +60,15 @@ def test_a_bowed_line_is_located_to_a_hundredth_of_a_row(bow_rows: float, width:
             assert found.width_rows == pytest.approx(width, rel=0.03)
 
 
+def test_a_line_whose_light_varies_by_half_each_way_along_it_is_located_whole() -> None:
+    """Of columns below half of the usual light it was cut, and its tilt off by 0.6 degrees in two of 64 rigs."""
+    y, x = np.mgrid[:80, :240]
+    u = x - 119.5
+    light = (1 + 0.45 * np.cos(u / 8)) * np.exp(-((y - 41.3 - 0.01 * u) ** 2) / 8) * (abs(u) < 100)
+    first, stop = locate_line(3 + 90 * light).columns
+    assert stop - first == pytest.approx(200, abs=4)
+
+
 def test_a_diverged_bow_is_not_followed() -> None:
     """At the bundle's rim a fit to no line at all had a bend of 1e109, and the next one began there."""
     line = locate_line(view(RIG))

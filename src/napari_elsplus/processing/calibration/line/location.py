@@ -37,6 +37,9 @@ MAX_UNCERTAINTY_ROWS: Final = 1.0
 """Chosen: a slit of three rows that is a row off loses a good part of the light."""
 MAX_MISFIT: Final = 0.04
 """Weighted departure of the mean profile from a Gaussian, over its height; chosen: lines stay below 0.008."""
+MIN_BRIGHTNESS: Final = 0.25
+"""Of a column over the usual one, below which a line ends; chosen: light that varies by half each way along it stays
+above."""
 MIN_BEND_ROWS: Final = 0.3
 """Root mean square of a bow that is fitted along its own curve; chosen: of a smaller one the vertex is a hundredth of
 a row off in the linear estimate, and a straight line's noise stays below."""
@@ -302,13 +305,16 @@ def _brightness(patch: Floats, width: float) -> Floats:
 
 
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
-    """Return the longest run of columns in which the line has half its usual brightness."""
+    """Return the first column in which the line has half its usual brightness, and the one after the last.
+
+    Of several such runs, the longest is taken with those between which the line does not fade.
+    """
     smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
     usual = np.sort(smooth)[17 * len(smooth) // 20]
-    lit = np.r_[False, smooth > 0.5 * usual, False].astype(np.int8)
-    starts, stops = np.flatnonzero(np.diff(lit) == 1), np.flatnonzero(np.diff(lit) == -1)
-    longest = int(np.argmax(stops - starts)) if len(starts) else 0
-    return (int(starts[longest]), int(stops[longest])) if len(starts) else (0, 0)
+    lit, count = ndimage.label(smooth > MIN_BRIGHTNESS * usual)
+    longest = np.argmax(np.bincount(lit)[1:]) + 1 if count else 0
+    bright = np.flatnonzero((lit == longest) & (smooth > 0.5 * usual))
+    return (int(bright[0]), int(bright[-1]) + 1) if count and len(bright) else (0, 0)
 
 
 def _gauss_newton(
