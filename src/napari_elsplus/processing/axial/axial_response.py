@@ -277,7 +277,7 @@ def axial_response(
     black = None
     if dark is not None:
         black = black_level(dark, *signals)
-        signals = [signals[0] - black.dn, signals[1] - black.dn / dark.residual_gain]
+        signals = [signals[0] - black.frames_dn, signals[1] - black.frames_dn / dark.residual_gain]
         systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
     loss = light_loss(depths, signals[0], signals[0] - signals[1])
     gains = np.ones(len(depths)) if loss is None else loss.gains()

@@ -25,7 +25,7 @@ MIN_DARK_PIXELS: Final = 1000
 """Pixels beside the views, below which the black level is unknown; chosen: fewer leave a noise of 0.02."""
 _USED_PIXELS: Final = 100_000
 """Of them that are averaged; chosen: known to 0.002 grey levels of noise in each frame."""
-MIN_FITTED: Final = 6
+MIN_FITTED: Final = 8
 """Frames, below which scattered light is not fitted; derived: twice the number of coefficients."""
 MAX_SCATTERED: Final = 0.2
 """Light of the pixels beside the views, share of that of the views, beyond which they are not dark; chosen: twice the
@@ -71,18 +71,25 @@ class BlackLevel(NamedTuple):
 
     Parameters
     ----------
-    dn, uncertainty_dn : float
-        Grey levels of a raw frame, and standard deviation; zero where it does not exceed its uncertainty.
+    frames_dn : numpy.ndarray
+        (T,) grey levels of each raw frame; zeros where they do not exceed their uncertainty.
+    uncertainty_dn : float
+        Standard deviation.
     background : bool
         The calibration has a background.
     known : bool
         Pixels beside the views were measured.
     """
 
-    dn: float
+    frames_dn: Curve
     uncertainty_dn: float
     background: bool
     known: bool
+
+    @property
+    def dn(self) -> float:
+        """Mean over the frames."""
+        return float(self.frames_dn.mean())
 
 
 class DarkPixels:
@@ -127,33 +134,33 @@ def black_level(dark: DarkLevels, ls: Curve, residual: Curve) -> BlackLevel:
         (T,) their signals, grey levels.
     """
     if dark.level_dn is None:
-        return BlackLevel(0.0, 0.0, dark.background, known=False)
+        return BlackLevel(np.zeros_like(ls), 0.0, dark.background, known=False)
     views = np.stack([ls, dark.residual_gain * residual])
     level, sigma, scattered = _without_light(dark.level_dn, views)
     if scattered > MAX_SCATTERED:
-        return BlackLevel(0.0, 0.0, dark.background, known=False)
-    changed = abs(level) > max(MIN_CHANGE_SIGMAS * sigma, MIN_CHANGE * float(ls.max()))
-    if dark.background and not changed:
-        return BlackLevel(0.0, 0.0, background=True, known=True)
+        return BlackLevel(np.zeros_like(ls), 0.0, dark.background, known=False)
+    ends = abs(float(level.mean())) + abs(float(np.polyfit(np.linspace(-1, 1, len(level)), level, 1)[0]))
+    if dark.background and ends <= max(MIN_CHANGE_SIGMAS * sigma, MIN_CHANGE * float(ls.max())):
+        return BlackLevel(np.zeros_like(ls), 0.0, background=True, known=True)
     # Alike frames are rounded alike: only where the level has changed, or is taken for a zero, does rounding count.
-    rounding = min(dark.bias_dn, abs(level))
-    return BlackLevel(level, float(np.hypot(sigma, rounding)), dark.background, known=True)
+    return BlackLevel(level, float(np.hypot(sigma, min(dark.bias_dn, ends))), dark.background, known=True)
 
 
-def _without_light(level: Curve, views: Curve) -> tuple[float, float, float]:
-    """Return the level without light, its standard deviation, and the scattered share of the light of the views.
+def _without_light(level: Curve, views: Curve) -> tuple[Curve, float, float]:
+    """Return the level of each frame without light, the standard deviation, and the scattered share of the light.
 
-    The standard deviation is the scatter of a frame, which contains the misfit.
+    The light of the views is fitted with a drift of the level, linear over the frames. The standard deviation is the
+    scatter of a frame, which contains the misfit.
     """
     if len(level) < MIN_FITTED:
         scattered = float(np.ptp(level)) / max(float(np.ptp(views.mean(axis=0))), np.finfo(float).tiny)
-        return float(level[np.argmin(views.sum(axis=0))]), float(np.ptp(level)), scattered
-    terms = np.column_stack([np.ones(len(level)), *views])
+        return np.full_like(level, level[np.argmin(views.sum(axis=0))]), float(np.ptp(level)), scattered
+    terms = np.column_stack([np.ones(len(level)), np.linspace(-1, 1, len(level)), *views])
     inverse = np.linalg.pinv(terms.T @ terms)
     factors = inverse @ (terms.T @ level)
-    scattered = float(factors[1:].sum())
+    scattered = float(factors[2:].sum())
     # The signals of the views contain the black level, too.
     share = max(1 - scattered, 1 - MAX_SCATTERED)
     scatter = float(np.sqrt(np.square(level - terms @ factors).sum() / (len(level) - len(factors))))
-    sigma = scatter * max(1.0, float(np.sqrt(max(inverse[0, 0], 0.0))))
-    return float(factors[0]) / share, sigma / share, scattered
+    sigma = scatter * max(1.0, float(np.sqrt(max(inverse[0, 0], inverse[1, 1]))))
+    return (level - factors[2:] @ views) / share, sigma / share, scattered
