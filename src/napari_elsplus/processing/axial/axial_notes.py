@@ -37,6 +37,7 @@ def axial_notes(response: AxialResponse) -> list[str]:
         _black_level_note(response),
         _contact_note(response),
         _rise_note(response),
+        _beat_note(response),
         _bleaching_note(response),
         _displacement_note(response),
         _tilt_note(response),
@@ -99,6 +100,15 @@ def _rise_note(response: AxialResponse) -> str:
     return (
         f"warning: the signal rises again beyond contact, from {rise.from_um:g} to {rise.to_um:g} um: distances beyond"
         " are not those of one plane: use a plate with nothing behind it, in light that does not change"
+    )
+
+
+def _beat_note(response: AxialResponse) -> str:
+    if response.beat is None:
+        return ""
+    return (
+        f"warning: the light varies by +- {100 * response.beat.share:.1f} % every {response.beat.period_frames:.3g}"
+        " frames, as that of a lamp beats with the frame rate: corrected; use steady light, or another frame rate"
     )
 
 

@@ -19,6 +19,7 @@ from napari_elsplus.processing.axial.contact import find_contact
 from napari_elsplus.processing.axial.curve_noise import MIN_POINTS, DepthMeans, means_at_depths, noise_of_curve
 from napari_elsplus.processing.axial.falling_curve import DropOff as DropOff
 from napari_elsplus.processing.axial.falling_curve import FallingCurve
+from napari_elsplus.processing.axial.light_beat import light_beat
 from napari_elsplus.processing.axial.tilt import Tilt, plate_tilt
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.axial.black_level import BlackLevel, DarkLevels
     from napari_elsplus.processing.axial.bleaching import LightLoss
     from napari_elsplus.processing.axial.falling_curve import Rise
+    from napari_elsplus.processing.axial.light_beat import LightBeat
     from napari_elsplus.processing.axial.tilt import SquareHalves
 
     Curve = NDArray[np.float64]
@@ -92,6 +94,8 @@ class AxialResponse:
         Depths between which the signal rises again beyond contact, as that of a second plane; None where it does not.
     black : BlackLevel, optional
         Black level that was left in the signals, and subtracted. None where the pixels beside the views are not given.
+    beat : LightBeat, optional
+        Periodic variation of the light with the frames, which is corrected; None where there is none.
     """
 
     depth_um: Curve
@@ -113,6 +117,7 @@ class AxialResponse:
     tilt: Tilt | None = None
     rise: Rise | None = None
     black: BlackLevel | None = None
+    beat: LightBeat | None = None
 
     @property
     def frames_advised(self) -> int:
@@ -211,13 +216,7 @@ class SystematicUncertainty(NamedTuple):
     gain: float = 0.0
 
     def with_zero(self, ls_dn: float, residual_dn: float) -> SystematicUncertainty:
-        """Return them with a further uncertainty of both zeros, grey levels.
-
-        Parameters
-        ----------
-        ls_dn, residual_dn : float
-            Standard deviations, independent of those so far.
-        """
+        """Return them with further uncertainties of both zeros (`ls_dn`, `residual_dn`), which are independent."""
         zeros = np.hypot([self.ls_zero_dn, self.residual_zero_dn], [ls_dn, residual_dn])
         return SystematicUncertainty(float(zeros[0]), float(zeros[1]), self.gain)
 
@@ -279,6 +278,8 @@ def axial_response(
         black = black_level(dark, *signals)
         signals = [signals[0] - black.frames_dn, signals[1] - black.frames_dn / dark.residual_gain]
         systematic = systematic.with_zero(black.uncertainty_dn, black.uncertainty_dn / dark.residual_gain)
+    if (beat := light_beat(depths, signals[0])) is not None:
+        signals = [each * beat.gains for each in signals]
     loss = light_loss(depths, signals[0], signals[0] - signals[1])
     gains = np.ones(len(depths)) if loss is None else loss.gains()
     of_ls, of_residual, of_els = means = _means(depths, signals, gains)
@@ -296,30 +297,31 @@ def axial_response(
         )
     kept = els_fall.contact / ls_fall.contact
     rate = -log(1 - ASSUMED_LOSS) / (len(depths) - 1) if loss is None else loss.error
-    drops, other_gains = _drops((ls_fall, els_fall)), [gains * np.exp(rate * np.arange(len(depths)))]
-    if loss is not None:
-        other_gains.append(loss.gains(1.0))
-    others = [_drops(_falls(_means(depths, signals, each), contact, zeros, correlated_dn)) for each in other_gains]
-    changes = [
-        hypot(*(float(np.nan_to_num(other.um - drop.um)) for other in each))
-        for drop, *each in zip(drops, *others, strict=True)
-    ]
-    if loss is not None:
-        drops = [drop.with_systematic(change) for drop, change in zip(drops, changes, strict=True)]
-    depth = of_ls.depth
+    fading = np.exp(rate * np.arange(len(depths)))
+    drops = _drops((ls_fall, els_fall))
+
+    def changes(factor: Curve) -> list[float]:
+        """Return by how much each distance changes if the gains differ by a factor (T,)."""
+        others = _drops(_falls(_means(depths, signals, gains * factor), contact, zeros, correlated_dn))
+        return [float(np.nan_to_num(other.um - drop.um)) for drop, other in zip(drops, others, strict=True)]
+
+    of_loss = () if loss is None else (fading, loss.gains(1.0) / gains)
+    for each in (*of_loss, *(() if beat is None else beat.errors)):
+        drops = [drop.with_systematic(um) for drop, um in zip(drops, changes(each), strict=True)]
     tilt = None if halves is None else plate_tilt(depths, halves, ls_fall)
     if tilt is not None:
         drops = [drop.with_systematic(drop.per_gap * tilt.gap_um) for drop in drops]
     rise = els_fall.rise or ls_fall.rise
     if rise is not None:  # distances beyond it are not those of one plane
-        beyond_um = [max(float(of_ls.depth[contact]) + drop.um - rise.from_um, 0.0) for drop in drops]
-        drops = [drop.with_systematic(um) for drop, um in zip(drops, beyond_um, strict=True)]
+        before_um = rise.from_um - float(of_ls.depth[contact])
+        drops = [drop.with_systematic(max(drop.um - before_um, 0.0)) for drop in drops]
     displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / ls_fall.first_slope
     contact_uncertainty_um = hypot(found.uncertainty_um, displaced_um / 2)  # the mean of first and last frames
     drops = [drop.with_systematic(drop.per_contact * contact_uncertainty_um) for drop in drops]
+    by_contact_dn = els_fall.contact * (els_fall.first_slope - ls_fall.first_slope) * contact_uncertainty_um
     return AxialResponse(
-        depth_um=depth,
-        contact_um=float(depth[contact]),
+        depth_um=of_ls.depth,
+        contact_um=float(of_ls.depth[contact]),
         contact_uncertainty_um=contact_uncertainty_um,
         level_um=found.level_um,
         displaced_um=displaced_um,
@@ -334,11 +336,12 @@ def axial_response(
         els_10db=drops[3],
         signal_kept=float(kept),
         signal_kept_uncertainty=float(
-            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0]]) / ls_fall.contact
+            np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0], by_contact_dn]) / ls_fall.contact
         ),
         loss=loss,
-        unseen_um=0.0 if loss is not None else changes[3] or changes[2],
+        unseen_um=0.0 if loss is not None else abs(changes(fading)[3] or changes(fading)[2]),
         black=black,
+        beat=beat,
     )
 
 
