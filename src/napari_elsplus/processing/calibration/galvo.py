@@ -218,7 +218,7 @@ def fit_galvo(
     travel = abs(slope) * float(np.ptp(v[used]))
     if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
-            f"the line moves {travel:.1f} rows over the sweep, {scatter:.2g} rows beside a line in most frames",
+            f"the line moves {travel:.1f} rows, {scatter:.2g} off a line in {used.sum()} of {len(v)} frames",
             "do the voltages belong to these frames, and does the galvo move?",
         )
     require_steady(rows[used], _polynomial(_place(v))[used], frames[used])

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.calibration.scan.learned_ramp import LearnedRamp
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
 
+MAX_OUTLIERS: Final = 0.1
+"""Share of the lines of a sweep, beyond which those left out are warned of; chosen: chance leaves out a thousandth."""
 MAX_GAIN_SPREAD: Final = 0.125
 """Standard deviation of the gain map, relative to its mean, above which a warning is given; measured: 0.09 with 10 %
 from core to core and 10 % of vignette, 0.17 where a laser scanned fibres."""
@@ -104,6 +106,11 @@ def summarize_galvo(galvo: GalvoMap, draft: Draft, setup: Setup) -> StepSummary:
         )
     if galvo.curved:
         warnings.append(f"the galvo is not linear: it departs by up to {galvo.curvature_rows:.2f} rows")
+    if galvo.outliers > MAX_OUTLIERS * (whole := galvo.lines + galvo.outliers):
+        warnings.append(
+            f"{galvo.outliers} of {whole} lines lie beside the straight line and are left out: does the galvo reach "
+            "its limit, or follow the voltages late? Record the sweep again"
+        )
     if galvo.light is not None and galvo.light.clipped:
         warnings.append(_clipped_lines(galvo.light))
     if frames < PAPER_VOLTAGES:
