@@ -307,13 +307,14 @@ def _brightness(patch: Floats, width: float) -> Floats:
 def _lit_columns(brightness: Floats) -> tuple[int, int]:
     """Return the first column in which the line has half its usual brightness, and the one after the last.
 
-    Of several such runs, the longest is taken with those between which the line does not fade.
+    Of several such runs, the longest is taken with those between which the line does not fade; a few columns are none.
     """
     smooth = ndimage.uniform_filter1d(brightness, max(3, len(brightness) // RUNS), mode="nearest")
     usual = np.sort(smooth)[17 * len(smooth) // 20]
     lit, count = ndimage.label(smooth > MIN_BRIGHTNESS * usual)
     longest = np.argmax(np.bincount(lit)[1:]) + 1 if count else 0
-    bright = np.flatnonzero((lit == longest) & (smooth > 0.5 * usual))
+    runs = ndimage.binary_opening(smooth > 0.5 * usual, np.ones(max(1, len(smooth) // RUNS)))
+    bright = np.flatnonzero((lit == longest) & runs)
     return (int(bright[0]), int(bright[-1]) + 1) if count and len(bright) else (0, 0)
 
 
