@@ -160,6 +160,22 @@ def test_a_sweep_that_lost_a_frame_is_refused(lost: int, falling: bool) -> None:
     assert fitted(curved, volts).lines == len(ROWS)
 
 
+@pytest.mark.parametrize("lost", [6, 12, 55])
+def test_a_sweep_that_lost_a_frame_early_or_late_is_refused(lost: int) -> None:
+    """The lines of its shorter part were left out: the map was a step off, by 18 to 95 standard deviations."""
+    rows = np.linspace(80, 220, 70) + np.random.default_rng(lost).normal(0, 0.02, 70)
+    shifted = np.concatenate([rows[:lost], rows[lost + 1 :], [rows[-1] + 2]])
+    with pytest.raises(MeasurementError, match=rf"jumps by 2.* rows at frame {lost} of the sweep: was a frame lost"):
+        fitted(shifted, 1e-3 * np.linspace(80, 220, 70))
+
+
+def test_a_map_is_not_fitted_to_three_of_five_lines() -> None:
+    """A repeated frame among eight voltages left three lines, through which a map was put 37 rows off."""
+    rows = np.array([80.0, 115.0, 150.0, 185.0, 220.0])
+    with pytest.raises(MeasurementError, match="in 3 of 5 frames"):
+        fitted(rows + np.array([0, -35, 0, 0, -35]), 1e-3 * rows)
+
+
 def test_a_galvo_whose_way_back_lies_beside_the_way_there_lost_no_frame() -> None:
     there_and_back = np.concatenate([ROWS[::2], ROWS[1::2][::-1]])
     beside = np.repeat([0.4, -0.4], len(ROWS) // 2) + np.random.default_rng(3).normal(0, 0.05, len(ROWS))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 PAPER_VOLTAGES: Final = 400
 """Least number of voltages in the paper's sweep."""
+MAX_LOST_FRAMES: Final = 3
+"""Steps by which lines may lie beside the others where frames were lost; chosen: farther ones are other outliers."""
 MIN_LINES: Final = 5
 """Different voltages of lines; chosen: fewer leave too little over to tell scatter from a curve."""
 MIN_CHORD: Final = 0.7
@@ -167,10 +169,6 @@ def fit_galvo(
     max_chord_px : float
         Columns beyond which a streak is no line on the bundle.
 
-    Returns
-    -------
-    GalvoMap
-
     Raises
     ------
     InputError
@@ -183,8 +181,7 @@ def fit_galvo(
         raise InputError(f"{volts.size} voltages for {len(lines)} frames", "give one voltage per frame")
     if not np.isfinite(volts).all():
         raise InputError(f"voltage {int(np.argmin(np.isfinite(volts)))} is not finite", "correct the list of volts")
-    largest = float(np.abs(volts).max(initial=0.0))
-    if largest > MAX_VOLTS:
+    if (largest := float(np.abs(volts).max(initial=0.0))) > MAX_VOLTS:
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
     seen = [(k, line) for k, line in enumerate(lines) if line is not None and line.length_px <= max_chord_px]
     longest = max((line.length_px for _, line in seen), default=0)
@@ -194,8 +191,7 @@ def fit_galvo(
             f"a line is visible in {len(whole)} of {len(lines)} frames, {MIN_LINES} are needed",
             "is the laser on, and does the sweep cross the bundle?",
         )
-    if column is None:
-        column = float(np.median([line.column for _, line in whole]))
+    column = float(np.median([line.column for _, line in whole])) if column is None else column
     v = volts[frames := np.array([k for k, _ in whole])]
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"the voltages of frames with a line span {np.ptp(v):g} V", "sweep a range of voltages")
@@ -215,13 +211,14 @@ def fit_galvo(
         away -= np.median(away[used])
         scatter = max(float(robust_sigma(away[used])), 0.02)
         before, used = used, np.abs(away) < OUTLIER_SIGMAS * scatter
-    travel = abs(slope) * float(np.ptp(v[used]))
-    if used.mean() < 0.6 or travel < max(5.0, 20 * scatter):
+    travel, fewest = abs(slope) * float(np.ptp(v[used])), max(MIN_LINES, 0.6 * len(v))
+    if used.sum() < fewest or travel < max(5.0, 20 * scatter):
         raise MeasurementError(
             f"the line moves {travel:.1f} rows, {scatter:.2g} off a line in {used.sum()} of {len(v)} frames",
             "do the voltages belong to these frames, and does the galvo move?",
         )
-    require_steady(rows[used], _polynomial(_place(v))[used], frames[used])
+    near = used | (np.abs(away) < MAX_LOST_FRAMES * abs(slope) * np.median(np.abs(np.diff(v))))
+    require_steady(rows[near], _polynomial(_place(v))[near], frames[near])
     drawn_rows, by_light = _drawn_by_light(v, [line for _, line in whole], used)
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
