@@ -45,6 +45,14 @@ def test_depths_in_any_order_from_any_start_repeated_and_uneven() -> None:
     assert drops(response) == pytest.approx([60, 540, 30, 90], rel=5e-3)
 
 
+@pytest.mark.parametrize("depth_um", [np.arange(3.0), np.concatenate([np.arange(8.0), np.arange(8.0)[::-1]])])
+def test_a_signal_that_does_not_fall_is_kept_with_an_uncertainty(depth_um: np.ndarray) -> None:
+    """Before: NaN, and an error in the panel, for the first frames of a manual scan, or a stage that stands still."""
+    response = axial_response(depth_um, np.full(len(depth_um), 100.0), np.full(len(depth_um), 20.0))
+    assert response.signal_kept == pytest.approx(0.8)
+    assert np.isfinite(response.signal_kept_uncertainty)
+
+
 def test_distances_count_from_contact_not_from_the_first_depth() -> None:
     """The probe starts pressed too hard against the plate: the signal first rises."""
     depth = np.arange(-40.0, 800.0, 2.0)

@@ -315,7 +315,8 @@ def axial_response(
     if rise is not None:  # distances beyond it are not those of one plane
         before_um = rise.from_um - float(of_ls.depth[contact])
         drops = [drop.with_systematic(max(drop.um - before_um, 0.0)) for drop in drops]
-    displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / ls_fall.first_slope
+    slope = ls_fall.first_slope or np.inf  # a signal that does not fall shows no displacement
+    displaced_um = 0.0 if loss is None else loss.by_distance * (len(depths) - 1) / slope
     contact_uncertainty_um = hypot(found.uncertainty_um, displaced_um / 2)  # the mean of first and last frames
     drops = [drop.with_systematic(drop.per_contact * contact_uncertainty_um) for drop in drops]
     by_contact_dn = els_fall.contact * (els_fall.first_slope - ls_fall.first_slope) * contact_uncertainty_um

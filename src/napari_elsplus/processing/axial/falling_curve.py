@@ -144,10 +144,11 @@ class FallingCurve:
 
     @property
     def first_slope(self) -> float:
-        """Mean decrease beyond contact, shares per micrometre, down to `_FIRST_FALL`."""
+        """Mean decrease beyond contact, shares per micrometre, to `_FIRST_FALL` or the last depth; 0 without any."""
         share = self._monotonic / self.contact
-        below = int(np.argmax(share < _FIRST_FALL))
-        return float((1 - share[below]) / (self._places[below] - self._places[0]))
+        fallen = share < _FIRST_FALL
+        below = int(np.argmax(fallen)) if fallen.any() else len(share) - 1
+        return float((1 - share[below]) / (self._places[below] - self._places[0])) if below else 0.0
 
     def depths_at(self, levels: Sequence[float]) -> Curve:
         """Return the depths at which the curve reaches descending shares of the signal in contact.
