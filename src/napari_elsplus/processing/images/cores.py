@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 from scipy.fft import rfft2
-from scipy.ndimage import map_coordinates, median_filter
+from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, cKDTree
 
@@ -222,8 +222,8 @@ class CoreInterpolation:
 
     Attributes
     ----------
-    cores : numpy.ndarray
-        (cores, 2) float64: row and column of each core, pixels.
+    reading : scipy.sparse.csr_array
+        (cores, pixels) float32: bilinear weights of the pixels around each core.
     between : scipy.sparse.csr_array
         (pixels, cores) float32: barycentric coordinates of each pixel times the cores' gain, the local mean over the
         reading in the flat field; none where no cores are around.
@@ -231,7 +231,7 @@ class CoreInterpolation:
         Sigma of the Gaussian with which cores are read, pixels.
     """
 
-    cores: NDArray[np.float64]
+    reading: csr_array
     between: csr_array
     sigma_px: float
 
@@ -253,11 +253,11 @@ class CoreInterpolation:
         """
         pitch_px = core_pitch_px(flat, inside)
         cores = find_cores(flat, inside)
-        sigma_px, wide = _READING_SIGMA_PITCHES * pitch_px, 2 * pitch_px
+        reading, sigma_px, wide = _bilinear(cores, len(flat)), _READING_SIGMA_PITCHES * pitch_px, 2 * pitch_px
         mean = cv2.GaussianBlur(np.where(inside, flat, 0).astype(np.float32), (0, 0), wide)
         mean /= np.maximum(cv2.GaussianBlur(inside.astype(np.float32), (0, 0), wide), 1e-3)
-        read = _at(cores, cv2.GaussianBlur(flat, (0, 0), sigma_px))
-        gain = _at(cores, mean) / np.maximum(read, _DARKEST_CORE * float(flat[inside].mean()))
+        read = reading @ cv2.GaussianBlur(flat, (0, 0), sigma_px).ravel()
+        gain = reading @ mean.ravel() / np.maximum(read, _DARKEST_CORE * float(flat[inside].mean()))
         triangles = Delaunay(cores)
         pixels = np.argwhere(inside).astype(float)
         simplex = triangles.find_simplex(pixels)  # which tries every triangle for a pixel that is in none
@@ -267,14 +267,19 @@ class CoreInterpolation:
         weights = np.column_stack([two, 1 - two.sum(axis=1)]) * gain[corners]
         pixel = np.flatnonzero(inside)[within].astype(np.int32).repeat(3)
         between = csr_array((weights.ravel(), (pixel, corners.ravel())), (inside.size, len(cores)), np.float32)
-        return cls(cores, between, sigma_px)
+        return cls(reading, between, sigma_px)
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Interpolate an image (n, n) float32 between the cores; zero outside of them."""
-        values = _at(self.cores, cv2.GaussianBlur(image, (0, 0), self.sigma_px))
+        values = self.reading @ cv2.GaussianBlur(image, (0, 0), self.sigma_px).ravel()
         return np.asarray((self.between @ values).reshape(image.shape), np.float32)
 
 
-def _at(places: NDArray[np.float64], image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return an image at places (n, 2) between its pixels, bilinearly interpolated, (n,)."""
-    return np.asarray(map_coordinates(image, places.T, order=1, mode="nearest"), np.float32)
+def _bilinear(places: NDArray[np.float64], side: int) -> csr_array:
+    """Return the weights (places, pixels) float32 of the pixels around places (n, 2) inside of a square image."""
+    corner = np.minimum(places.astype(np.int32), side - 2)
+    (down, across), (row, col) = (places - corner).T, corner.T
+    pixels = (row * side + col)[:, None] + np.array([0, 1, side, side + 1], np.int32)
+    weights = np.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across], axis=1)
+    of_place = np.arange(len(places), dtype=np.int32).repeat(4)
+    return csr_array((weights.ravel(), (of_place, pixels.ravel())), (len(places), side * side), np.float32)
