@@ -115,7 +115,8 @@ def _recorded(status: Status) -> list[str]:
     with suppress(OSError):
         parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
     line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}"
-    with suppress(OSError):
-        left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60
-        line += f"; {left:.0f} min of disk space left" if running else ""
+    if running:
+        with suppress(OSError):
+            left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60
+            line += f"; {left:.0f} min of disk space left"
     return [line]
