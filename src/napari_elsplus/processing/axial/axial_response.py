@@ -297,7 +297,6 @@ def axial_response(
         )
     kept = els_fall.contact / ls_fall.contact
     rate = -log(1 - ASSUMED_LOSS) / (len(depths) - 1) if loss is None else loss.error
-    fading = np.exp(rate * np.arange(len(depths)))
     drops = _drops((ls_fall, els_fall))
 
     def changes(factor: Curve) -> list[float]:
@@ -305,9 +304,10 @@ def axial_response(
         others = _drops(_falls(_means(depths, signals, gains * factor), contact, zeros, correlated_dn))
         return [float(np.nan_to_num(other.um - drop.um)) for drop, other in zip(drops, others, strict=True)]
 
-    of_loss = () if loss is None else (fading, loss.gains(1.0) / gains)
-    for each in (*of_loss, *(() if beat is None else beat.errors)):
-        drops = [drop.with_systematic(um) for drop, um in zip(drops, changes(each), strict=True)]
+    by_fading = changes(np.exp(rate * np.arange(len(depths))))
+    by_loss = () if loss is None else (by_fading, changes(loss.gains(1.0) / gains))
+    for each in (*by_loss, *map(changes, () if beat is None else beat.errors)):
+        drops = [drop.with_systematic(um) for drop, um in zip(drops, each, strict=True)]
     tilt = None if halves is None else plate_tilt(depths, halves, ls_fall)
     if tilt is not None:
         drops = [drop.with_systematic(drop.per_gap * tilt.gap_um) for drop in drops]
@@ -340,7 +340,7 @@ def axial_response(
             np.linalg.norm([els_fall.noise, kept * ls_fall.noise, correlated_dn[0], by_contact_dn]) / ls_fall.contact
         ),
         loss=loss,
-        unseen_um=0.0 if loss is not None else abs(changes(fading)[3] or changes(fading)[2]),
+        unseen_um=0.0 if loss is not None else abs(by_fading[3] or by_fading[2]),
         black=black,
         beat=beat,
     )

@@ -81,8 +81,8 @@ def light_beat(depths_um: Curve, ls: Curve) -> LightBeat | None:
         return None
     away_um = depths_um[bright] - depths_um[bright].min()
     place = np.log1p(away_um / max(float(away_um[np.argmin(np.abs(ls[bright] - ls.max() / 2))]), 1.0))
-    terms = np.polynomial.legendre.legvander(2 * place / max(place.max(), 1.0) - 1, _DEGREE)
-    smooth = np.linalg.svd(np.c_[terms, time[bright]], full_matrices=False)[0]
+    falling = np.polynomial.legendre.legvander(2 * place / max(place.max(), 1.0) - 1, _DEGREE)
+    smooth = np.linalg.svd(np.c_[falling, time[bright]], full_matrices=False)[0]
     level = np.log(ls[bright])
     level -= smooth @ (smooth.T @ level)
     best_gain, best = 0.0, None
