@@ -135,7 +135,6 @@ WINDOW_LIBRARIES = {
 }
 """What a Qt window needs on Linux: Debian's package and the library that is in it."""
 
-
 SCREEN_PX = "1280x1024"
 """Of the screen on which the windows are tested."""
 VIRTUAL_SCREEN = {"xauth": "xauth", "xvfb": "xvfb-run"}
@@ -336,9 +335,7 @@ def missing_packages(virtual_screen: bool) -> list[str]:
     if virtual_screen:
         if not any(map(glob.glob, ("/usr/lib/*/dri/*_dri.so", "/usr/lib*/dri/*_dri.so"))):
             missing.append("libgl1-mesa-dri")
-        missing += [
-            package for package, program in (("xauth", "xauth"), ("xvfb", "xvfb-run")) if not shutil.which(program)
-        ]
+        missing += [package for package, command in VIRTUAL_SCREEN.items() if not shutil.which(command)]
     return missing
 
 
