@@ -73,9 +73,8 @@ def measure_axial_response(
     depths = _depths_beside(path) if depth_um is None else depth_um
     if len(depths) != len(scan):
         raise InputError(f"{len(depths)} depths for {len(scan)} frames", "give a line per frame")
-    note = agreement_note(scan, known)
     profiles = axial_profiles(scan, known, depths_um=depths, progress=lambda numbers: progress(numbers, "depths"))
-    if note:  # a scan that is refused has a message of its own
+    if note := agreement_note(scan, known):  # a scan that is refused has a message of its own
         warnings.warn(note, stacklevel=2)
     return axial_response(depths, *profiles)
 

@@ -155,3 +155,40 @@ def test_a_link_that_leads_to_itself_is_said_in_one_line(
     monkeypatch.chdir(tmp_path)
     run = elsplus(*command.split(), loop, "-o", output)
     assert (run.code, run.err.count("\n"), "loop.tif" in run.err) == (2, 1, True)
+
+
+@pytest.mark.parametrize(
+    ("command", "output"), [("process", "o.tif"), ("mosaic", "o.tif"), ("compare", "o.png"), ("axial", "o.json")]
+)
+def test_frames_of_another_camera_region(
+    elsplus: Callable[..., Run], tmp_path: Path, command: str, output: str
+) -> None:
+    """Before: `compare` and `axial` preceded the error by numpy's warnings of empty means."""
+    write_calibration(tmp_path / "cal.json", true_calibration(Instrument.of("240hz")))
+    np.save(tmp_path / "small.npy", np.full((4, 50, 50), 9, np.uint8))
+    (tmp_path / "small.depths.csv").write_text("depth_um\n0\n10\n20\n30\n")
+    ended = elsplus(command, tmp_path / "small.npy", "-c", tmp_path / "cal.json", "-o", tmp_path / output)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "has 524 x 1328 pixels, the recording 50 x 50: use the calibration" in ended.err
+    assert not (tmp_path / output).exists()
+
+
+def test_a_comparison_of_frames_without_light(elsplus: Callable[..., Run], tmp_path: Path) -> None:
+    """Before: a picture of nothing, and a background of -3,615,071 times white."""
+    known = true_calibration(INSTRUMENT)
+    background = np.full(INSTRUMENT.frame_shape, 4, np.float32)
+    write_calibration(tmp_path / "cal.json", known.model_copy(update={"background": background}))
+    np.save(tmp_path / "dark.npy", np.zeros((2, *INSTRUMENT.frame_shape), np.uint8))
+    ended = elsplus("compare", tmp_path / "dark.npy", "-c", tmp_path / "cal.json", "-o", tmp_path / "o.png")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "frame 0 shows no light in LS: is the laser on" in ended.err
+    assert not (tmp_path / "o.png").exists()
+
+
+def test_depths_with_decimal_commas(elsplus: Callable[..., Run], tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.json", true_calibration(INSTRUMENT))
+    np.save(tmp_path / "scan.npy", np.zeros((2, *INSTRUMENT.frame_shape), np.uint8))
+    (tmp_path / "scan.depths.csv").write_text("depth_um\n0,0\n2,5\n")
+    ended = elsplus("axial", tmp_path / "scan.npy", "-c", tmp_path / "cal.json", "-o", tmp_path / "o.json")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "line 2 is '0,0': one finite number per line is expected, its decimals behind a point" in ended.err

@@ -69,13 +69,15 @@ def _summary(response: AxialResponse) -> Iterator[str]:
         ("ELS+", response.els_3db, response.els_10db),
     ):
         yield f"{name}: 3 dB at {_distance(three)}, 10 dB at {_distance(ten)}"
-    yield f"signal kept in contact: {100 * response.signal_kept:.1f} +- {100 * response.signal_kept_uncertainty:.1f} %"
+    yield f"signal kept in contact: {_stated(100 * response.signal_kept, 100 * response.signal_kept_uncertainty)} %"
     yield from axial_notes(response)
 
 
 def _distance(drop: DropOff) -> str:
+    return f"{_stated(drop.um, drop.uncertainty_um)} um" if isfinite(drop.um) else "beyond the scan"
+
+
+def _stated(value: float, uncertainty: float) -> str:
     from napari_elsplus.processing.calibration.summaries import with_uncertainty
 
-    if not isfinite(drop.um):
-        return "beyond the scan"
-    return f"{with_uncertainty(drop.um, drop.uncertainty_um).replace('±', '+-')} um"
+    return with_uncertainty(value, uncertainty).replace("±", "+-")

@@ -112,5 +112,8 @@ def _number(path: Path, line_number: int, line: str) -> float:
     except ValueError:
         value = float("nan")
     if not isfinite(value):
-        raise InputError(f"{path.name}: line {line_number} is {line[:40]!r}", "one finite number per line is expected")
+        raise InputError(
+            f"{path.name}: line {line_number} is {line[:40]!r}",
+            "one finite number per line is expected, its decimals behind a point",
+        )
     return value

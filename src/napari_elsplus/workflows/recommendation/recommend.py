@@ -248,7 +248,7 @@ def _best(
             most = max(signal_kept(offset_um=reach_um, slit_um=rows * um, line=line) for rows in SLITS_ROWS)
             raise InputError(
                 f"no offset up to {reach_um:.0f} um keeps {100 * keep:g} % of the signal",
-                f"at most {100 * most:.1f} % are kept: ask for less",
+                f"at most {100 * most:.4g} % are kept: ask for less",
             )
         return SLITS_ROWS[0], reach_um
     haze = {rows: _haze(line, offset_um, rows * um, depth_um) for rows, offset_um in offsets.items()}
