@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from benchmarks.documents.schematic import draw_schematic
 from benchmarks.studies import paper, resolution
 from napari_elsplus.processing.analysis.image_quality import PAPER_ALIGNMENT_PERCENT, contrast, white_level
 from napari_elsplus.processing.calibration.bundle.cancellation import FILTER_NAMES
@@ -62,8 +61,6 @@ def make(
         save_figure(figure, folder / f"paper-{name}.png", force=force)
         tables[f"paper-{name}"] = table
 
-    report("schematic")
-    save_figure(draw_schematic(), folder / "paper-schematic.png", force=force)
     report("calibration")
     found = paper.calibrate_simulated(Instrument.of("120hz" if not quick else "240hz"), 20 if quick else 400)
     keep("calibration", draw_calibration(found), calibration_table(found))

@@ -255,10 +255,9 @@ def bow_error(rig: ImperfectRig, calibration: Calibration) -> Error:
 
 
 class Scanned(NamedTuple):
-    """Line against slit while it lights cores: rows off by more than a quarter slit, largest error, signal kept."""
+    """Line against slit while it lights cores: rows off by more than a quarter slit, signal kept."""
 
     off: int
-    largest_rows: float
     signal: float
 
 
@@ -281,7 +280,7 @@ def scanned(rig: ImperfectRig, line_rows: Rows) -> Scanned:
     kept = np.exp(-0.5 * (error[on_left] / sigma_rows) ** 2)
     chord = np.sqrt(radius**2 - (rows[on_left] - centres[0]) ** 2)
     off = int((error[judged] > instrument.slit_rows / 4).sum())
-    return Scanned(off, float(error[judged].max()), float((kept * chord).sum() / chord.sum()))
+    return Scanned(off, float((kept * chord).sum() / chord.sum()))
 
 
 def axial(rig: ImperfectRig, calibration: Calibration, *, seed: int = 0) -> AxialResponse:

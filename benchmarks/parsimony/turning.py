@@ -9,11 +9,8 @@ import numpy as np
 
 from benchmarks.rigs.simulated import simulated_rig, tissue
 from benchmarks.studies.drift import tracked_live
-from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registration.motion_models import MotionModel, turned_by
-from napari_elsplus.processing.tracking.registration.pair_registration import Registrar
-from napari_elsplus.processing.tracking.tracker import Tracker
 from napari_elsplus.simulation.accuracy import TrackErrors, track_errors
 from napari_elsplus.simulation.specimen.trajectories import Turning, trajectory
 from napari_elsplus.workflows.sectioning import RawPairs
@@ -81,8 +78,8 @@ class Turned(NamedTuple):
     strayed_px: tuple[float, float, float]
 
 
-def _recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Raw frames, true positions (camera pixels, in the first frame's orientation) and angles (radians)."""
+def recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Return raw frames, true positions (camera pixels, in the first frame's orientation) and angles (radians)."""
     rig = simulated_rig()
     path = Turning(trajectory(walk.path, speed_um_s=walk.speed_um_s, seed=walk.seed), walk.turn_deg_s, REACH_DEG)
     raw = rig.recording(tissue(walk.scene, walk.seed), path, walk.frames, seed=walk.seed)
@@ -93,7 +90,7 @@ def _recorded(walk: Walk) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArr
 
 def follow(walk: Walk) -> Turned:
     """Record a walk, track it, and finish the track."""
-    raw, place, angle = _recorded(walk)
+    raw, place, angle = recorded(walk)
     rig = simulated_rig()
     pipeline = Pipeline(rig.calibration, rig.instrument.frame_shape)
     for index in range(walk.frames):
@@ -117,15 +114,3 @@ def _strayed_px(rows: Sequence[TrackPoint], true_px: NDArray[np.float64], true_a
     found = np.array([(rows[k].row_px, rows[k].col_px) for k in those])
     true = (true_px[those] - true_px[those[0]]) @ turned_by(-float(true_angle[those[0]])).T
     return float(np.hypot(*(found - found[0] - true).T).max())
-
-
-def rung_of(walk: Walk) -> MotionModel:
-    """Return what a walk asks for, without finishing its track."""
-    raw, _, _ = _recorded(walk)
-    rig = simulated_rig()
-    front_end = FrontEnd(rig.calibration, rig.instrument.frame_shape)
-    tracker = Tracker(Registrar(front_end.grid))
-    for frame in raw:
-        front_end.image(frame, tracker.slot())
-        tracker.add()
-    return tracker.model

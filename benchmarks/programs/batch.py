@@ -2,8 +2,7 @@
 
 Recordings of the simulated rig are sectioned and made into mosaics by the command line. The batch is killed with all of
 its processes as often as asked, resumed to its end, and its images, mosaics and tracks are compared, bit by bit, with
-those of single runs. Then it is run anew by one worker and by two, in turn, and so are the same stages by one plain
-process and by two, without a scheduler: the ratio of the latter is the most that the computer and its disk can give.
+those of single runs. Then it is run anew by one worker and by two, in turn.
 
 The ratios by the clock hold where nothing else runs. On a busy machine the processor time of the only worker over that
 of the busier of two is the ratio that would be reached if each worker had a core of its own.
@@ -17,7 +16,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -29,13 +27,13 @@ import numpy as np
 import psutil
 import tifffile
 
+from benchmarks.harness.machine import cpu_s
 from benchmarks.harness.table import results_in, write_rows
-from benchmarks.programs.batch_share import plain_job
 from benchmarks.programs.start import COMMAND_LINE
 from napari_elsplus.cli import main
 from napari_elsplus.cli.options import FILE, force_option
 from napari_elsplus.io import ImageMetadata, write_calibration, write_images
-from napari_elsplus.workflows.batch.job import RECORDS, open_output
+from napari_elsplus.workflows.batch.job import RECORDS
 from napari_elsplus.workflows.batch.spans import SPANS
 from napari_elsplus.workflows.simulated import simulate_recording
 
@@ -46,7 +44,6 @@ POLL_S: Final = 0.02
 CPU_POLL_S: Final = 0.5
 """Time between looks at the processes, which take milliseconds of a core; chosen, a small part of a run."""
 STAGES: Final = ("section", "mosaic")
-KINDS: Final = {"batch": "workers", "plain": "plain processes"}
 
 
 class Run(NamedTuple):
@@ -57,7 +54,7 @@ class Run(NamedTuple):
     wall_s : float
         From the start of the command to its end.
     start_s : float
-        From its start to that of the first stage; NaN without a scheduler, and where a batch is resumed.
+        From its start to that of the first stage; NaN where a batch is resumed.
     end_s : float
         From the end of the last stage to that of the command; NaN without a scheduler.
     main_cpu_s : float
@@ -157,9 +154,9 @@ def run_batch(source: Path, records: Records, workers: int, *, kill_at: int | No
         if time.perf_counter() - looked_s > CPU_POLL_S:
             looked_s = time.perf_counter()
             with contextlib.suppress(psutil.NoSuchProcess):
-                main_s = _cpu_s(running)
+                main_s = cpu_s(running)
                 for child in running.children(recursive=True):
-                    spent[child.pid] = _cpu_s(child)
+                    spent[child.pid] = cpu_s(child)
                     peak = max(peak, child.memory_info().rss)
         time.sleep(POLL_S)
     ended_ns = time.time_ns()
@@ -168,52 +165,15 @@ def run_batch(source: Path, records: Records, workers: int, *, kill_at: int | No
     if running.returncode != (0 if kill_at is None else -signal.SIGKILL):
         raise RuntimeError(f"the batch ended with {running.returncode}: {said[-500:]}")
     records.update()
-    cpu_s = sorted(spent.values(), reverse=True)
+    by_process_s = sorted(spent.values(), reverse=True)
     return Run(
         wall_s=(ended_ns - begun_ns) / 1e9,
         start_s=start_s,
         end_s=(ended_ns - max(records.first_ns.values())) / 1e9,
-        main_cpu_s=main_s + sum(cpu_s[workers:]),
-        worker_cpu_s=tuple(cpu_s[:workers]),
+        main_cpu_s=main_s + sum(by_process_s[workers:]),
+        worker_cpu_s=tuple(by_process_s[:workers]),
         peak_mb=peak / 1e6,
     )
-
-
-def run_plain(source: Path, output: Path, processes: int) -> Run:
-    """Execute the stages of a batch in plain processes that share the recordings, without a scheduler.
-
-    Raises
-    ------
-    RuntimeError
-        If one of them fails.
-    """
-    begun_s = time.perf_counter()
-    open_output(plain_job(output))
-    program = (sys.executable, "-m", "benchmarks.programs.batch_share", str(source), str(output))
-    one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # as dask's workers have it
-    shares = [psutil.Popen((*program, str(k), str(processes)), env=one_thread) for k in range(processes)]
-    spent, peak = [0.0] * processes, 0
-    while any(share.poll() is None for share in shares):
-        for place, share in enumerate(shares):
-            with contextlib.suppress(psutil.NoSuchProcess):
-                spent[place] = max(spent[place], _cpu_s(share))
-                peak = max(peak, share.memory_info().rss)
-        time.sleep(POLL_S)
-    if any(share.returncode for share in shares):
-        raise RuntimeError("a plain process failed; what it printed stands above")
-    return Run(
-        wall_s=time.perf_counter() - begun_s,
-        start_s=np.nan,
-        end_s=np.nan,
-        main_cpu_s=0.0,
-        worker_cpu_s=tuple(sorted(spent, reverse=True)),
-        peak_mb=peak / 1e6,
-    )
-
-
-def _cpu_s(process: psutil.Process) -> float:
-    times = process.cpu_times()
-    return float(times.user + times.system)
 
 
 def single_commands(path: Path, output: Path) -> list[list[str]]:
@@ -277,8 +237,6 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
                 timed = Path(made, "timed")
                 rows.append(("batch", workers, run_batch(source, Records(timed), workers)))
                 shutil.rmtree(timed)
-                rows.append(("plain", workers, run_plain(source, timed, workers)))
-                shutil.rmtree(timed)
     cells = []
     for name, workers, run in rows:
         cpu = " ".join(f"{seconds:.2f}" for seconds in run.worker_cpu_s)
@@ -287,7 +245,7 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
         parts_s = (run.start_s, run.wall_s - run.start_s - run.end_s, run.end_s)
         within = "" if np.isnan(run.start_s) else " (start {:.1f}, work {:.1f}, end {:.1f} s)".format(*parts_s)
         click.echo(
-            f"{name}, {workers} {KINDS.get(name, 'workers')}: {run.wall_s:.1f} s{within}, processor time {cpu} s "
+            f"{name}, {workers} workers: {run.wall_s:.1f} s{within}, processor time {cpu} s "
             f"and {run.main_cpu_s:.1f} s (all but workers), {run.peak_mb:.0f} MB a worker at most"
         )
     titles = ("run", "workers", "wall_s", "start_s", "end_s", "main_cpu_s", "worker_cpu_s", "peak_mb")
@@ -298,11 +256,10 @@ def batch(out: Path, recordings: int, frames: int, kills: int, rounds: int, scra
         "files left"
     )
     if rounds:
-        for kind, name in KINDS.items():
-            ones, twos = ([run for of, by, run in rows if (of, by) == (kind, workers)] for workers in (1, 2))
-            by_clock = median(one.wall_s / two.wall_s for one, two in zip(ones, twos, strict=True))
-            by_cpu = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in zip(ones, twos, strict=True))
-            click.echo(f"two {name} against one: {by_clock:.2f} times by the clock, {by_cpu:.2f} by processor time")
+        ones, twos = ([run for of, by, run in rows if (of, by) == ("batch", workers)] for workers in (1, 2))
+        by_clock = median(one.wall_s / two.wall_s for one, two in zip(ones, twos, strict=True))
+        by_cpu = median(one.worker_cpu_s[0] / two.worker_cpu_s[0] for one, two in zip(ones, twos, strict=True))
+        click.echo(f"two workers against one: {by_clock:.2f} times by the clock, {by_cpu:.2f} by processor time")
         click.echo(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     if records.twice or differing or left or records.stages != stages:
         raise SystemExit(1)

@@ -59,8 +59,6 @@ GAIN: Final = Quantity("gain of the right view", "%", 0.5)
 LAG: Final = Quantity("scan lag", "rows", 0.3)
 QUANTITIES: Final = (OFFSET, TILT, SLOPE, INTERCEPT, CENTRE, DIAMETER, ALIGNMENT, GAIN, LAG)
 
-AIMED: Final = (OFFSET, SLOPE, CENTRE, DIAMETER, ALIGNMENT, GAIN, LAG)
-"""Those whose stated uncertainty is held to be a standard deviation."""
 
 Errors = dict[Quantity, list[tuple[float, float]]]
 """Error and stated standard deviation of each measurement."""

@@ -29,8 +29,7 @@ def test_a_killed_batch_ends_as_single_runs_do(tmp_path: Path) -> None:
     assert "0 of 12 files differ from single runs" in done.output
     rows = list(csv.DictReader((tmp_path / "batch.csv").read_text(encoding="utf-8").splitlines()))
     assert [(row["run"], row["workers"]) for row in rows] == [
-        ("killed", "2"), ("killed", "2"), ("resumed", "2"),
-        ("batch", "1"), ("plain", "1"), ("batch", "2"), ("plain", "2"),
+        ("killed", "2"), ("killed", "2"), ("resumed", "2"), ("batch", "1"), ("batch", "2"),
     ]  # fmt: skip
     assert all(float(row["peak_mb"]) > 50 for row in rows)
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.documents.paper import alignment_table, calibration_table, draw_calibration, draw_images, mosaic_table
-from benchmarks.documents.schematic import draw_schematic
 from benchmarks.studies import paper
 from napari_elsplus.simulation.accuracy import TrackErrors
 from napari_elsplus.simulation.model.instrument import Instrument
@@ -48,10 +47,3 @@ def test_mosaics_are_drawn_and_told(tmp_path: Path) -> None:
     figure = draw_images({"one": image, "two": image.T, "three": image}, 3)
     assert [axes.get_title() for axes in figure.axes] == ["one", "two", "three"]
     figure.savefig(tmp_path / "images.png")
-
-
-def test_the_schematic_names_its_parts(tmp_path: Path) -> None:
-    figure = draw_schematic()
-    words = {text.get_text().replace("\n", " ") for axes in figure.axes for text in axes.texts}
-    assert {"galvo", "beam splitter, tilt mirror", "confocal view", "residual view"} <= words
-    figure.savefig(tmp_path / "schematic.png")
