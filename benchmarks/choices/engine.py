@@ -30,27 +30,22 @@ class Stream(NamedTuple):
 
 def _cases(quick: bool) -> list[Case]:
     seconds, settle_s = (QUICK_SECONDS, 0.5) if quick else (SECONDS, SETTLE_S)
-    names = ("240hz",) if quick else ("240hz", "120hz")
-    return [_case(name, seconds, settle_s) for name in names]
+    shapes = {name: preset(name).frame_shape for name in (("240hz",) if quick else ("240hz", "120hz"))}
+    return [
+        Case(f"{name}, {rows} x {cols}", [Stream(name, seconds, settle_s)]) for name, (rows, cols) in shapes.items()
+    ]
 
 
-def _case(name: str, seconds: float, settle_s: float) -> Case:
-    rows, cols = preset(name).frame_shape
-    return Case(f"{name}, {rows} x {cols}", [Stream(name, seconds, settle_s)])
+def _in(
+    engine: type[Apart | Here], between: Callable[[], None] = lambda: None
+) -> Callable[[Case], Callable[[Stream], TimedElsewhere]]:
+    """Return the preparation of an engine, beside which whoever looks on does something else between two looks."""
 
+    def stream(item: Stream) -> TimedElsewhere:
+        run = run_engine(engine(item.preset_name), item.seconds, settle_s=item.settle_s, between=between)
+        return TimedElsewhere(run, 1e-6 * run.cpu_us_per_frame)
 
-def _apart(_: Case) -> Callable[[Stream], TimedElsewhere]:
-    return lambda item: _timed(run_engine(Apart(item.preset_name), item.seconds, settle_s=item.settle_s))
-
-
-def _here(_: Case) -> Callable[[Stream], TimedElsewhere]:
-    return lambda item: _timed(run_engine(Here(item.preset_name), item.seconds, settle_s=item.settle_s))
-
-
-def _in_a_window(_: Case) -> Callable[[Stream], TimedElsewhere]:
-    return lambda item: _timed(
-        run_engine(Here(item.preset_name), item.seconds, settle_s=item.settle_s, between=_be_busy)
-    )
+    return lambda _: stream
 
 
 def _be_busy() -> None:
@@ -58,10 +53,6 @@ def _be_busy() -> None:
     until_s = time.perf_counter() + BUSY_S
     while time.perf_counter() < until_s:
         sum(range(200))
-
-
-def _timed(run: EngineRun) -> TimedElsewhere:
-    return TimedElsewhere(run, 1e-6 * run.cpu_us_per_frame)
 
 
 def judge(_: Stream, run: EngineRun) -> Judgement:
@@ -77,9 +68,9 @@ def judge(_: Stream, run: EngineRun) -> Judgement:
 
 
 METHODS = (
-    Method("in a process of its own", Role.DEFAULT, _apart),
-    Method("in a script's process", Role.OPTION, _here),
-    Method("in the process of a busy window", Role.OPTION, _in_a_window),
+    Method("in a process of its own", Role.DEFAULT, _in(Apart)),
+    Method("in a script's process", Role.OPTION, _in(Here)),
+    Method("in the process of a busy window", Role.OPTION, _in(Here, _be_busy)),
 )
 
 BENCHMARK = Benchmark(

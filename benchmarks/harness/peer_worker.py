@@ -52,11 +52,10 @@ def interpolate(image: Any) -> Any:
     return _bundle().recon_tri_interp(_WHOLE * image, _kept["interpolation"], numba=True)
 
 
-def enhance(flat: Any, frames: Any, pitch: Any, radius: Any, shifts: Any = None) -> Any:
-    """Combine shifted frames (T, rows, cols): triangles between the cores of all frames, at their shifts.
+def enhance(flat: Any, frames: Any, pitch: Any, radius: Any) -> Any:
+    """Combine shifted frames (T, rows, cols): triangles between the cores of all frames, at shifts that it estimates.
 
-    It estimates the shifts itself, or takes given ones, (T, 2) columns first. The image is as large as the bundle is in
-    the frames, twice as fine.
+    The image is as large as the bundle is in the frames, twice as fine.
     """
     middle = (len(flat) - 1) / 2
     images = _WHOLE * np.moveaxis(frames, 0, -1)
@@ -64,8 +63,6 @@ def enhance(flat: Any, frames: Any, pitch: Any, radius: Any, shifts: Any = None)
         "centreX": middle, "centreY": middle, "radius": float(radius), "filterSize": None, "normalise": _WHOLE * flat,
         "autoMask": False, "mask": False,
     }  # fmt: skip
-    if shifts is not None:
-        how["shifts"] = np.asarray(shifts)
     enhanced = _bundle().SuperRes
     calibration = enhanced.calib_multi_tri_interp(_WHOLE * flat, images, float(pitch), 4 * int(radius), **how)
     return enhanced.recon_multi_tri_interp(images, calibration)

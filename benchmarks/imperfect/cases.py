@@ -56,13 +56,13 @@ def near_clean(share: float) -> Aim:
 
 
 class Quantity(NamedTuple):
-    """A number measured on a rig: name, unit, digits to display, function of rig and corrections off, rig's fields."""
+    """A number measured on a rig: name, unit, digits to display, function of rig and corrections off, the line."""
 
     name: str
     unit: str
     digits: int
     measure: Callable[[ImperfectRig, tuple[str, ...]], float]
-    fields: dict[str, Any]
+    line: str = "a"
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Case:
     @property
     def disturbed(self) -> ImperfectRig:
         """The imperfect rig."""
-        return _rig(self.preset, self.imperfections, tuple(self.quantity.fields))
+        return _rig(self.preset, self.imperfections, self.quantity.line)
 
     @property
     def calibration(self) -> Calibration:
@@ -109,19 +109,14 @@ class Case:
     @property
     def clean(self) -> ImperfectRig:
         """The same rig without the imperfection."""
-        return _rig(self.preset, "", tuple(self.quantity.fields))
+        return _rig(self.preset, "", self.quantity.line)
 
 
 @cache
-def _rig(preset: str, imperfections: str, fields: tuple[str, ...]) -> ImperfectRig:
-    changes = {name: FIELDS[name] for name in fields}
+def _rig(preset: str, imperfections: str, line: str) -> ImperfectRig:
     name, _, rate = preset.partition(" at ")
     rate_hz = float(rate.removesuffix(" Hz")) if rate else None
-    return ImperfectRig.of(name, Imperfections.parse(imperfections), rate_hz=rate_hz, **changes)
-
-
-FIELDS: Final[dict[str, Any]] = {"line": LINE_MODELS["b"]}
-"""Fields of the instrument that some quantities change: the sharper line."""
+    return ImperfectRig.of(name, Imperfections.parse(imperfections), rate_hz=rate_hz, line=LINE_MODELS[line])
 
 
 def corrected(rig: ImperfectRig, off: tuple[str, ...]) -> Calibration:
@@ -219,30 +214,26 @@ def _scanned(rig: ImperfectRig, off: tuple[str, ...]) -> measures.Scanned:
     return measures.scanned(rig, rig.line_rows(without(rig.scanned.calibration, off)))
 
 
-HAZE: Final = Quantity("haze: ELS+ correlation", "", 3, _haze, {})
-HAZE_FLAT_FIELDED: Final = Quantity("haze, flat-fielded: ELS+ correlation", "", 3, _haze_flat_fielded, {})
-NUCLEI: Final = Quantity("nuclei, line b: ELS+ correlation", "", 4, _nuclei, {"line": LINE_MODELS["b"]})
+HAZE: Final = Quantity("haze: ELS+ correlation", "", 3, _haze)
+HAZE_FLAT_FIELDED: Final = Quantity("haze, flat-fielded: ELS+ correlation", "", 3, _haze_flat_fielded)
+NUCLEI: Final = Quantity("nuclei, line b: ELS+ correlation", "", 4, _nuclei, "b")
 NUCLEI_SCANNED: Final = Quantity(
-    "nuclei, line b, scanned and flat-fielded: ELS+ correlation",
-    "",
-    4,
-    _nuclei_scanned,
-    {"line": LINE_MODELS["b"]},
+    "nuclei, line b, scanned and flat-fielded: ELS+ correlation", "", 4, _nuclei_scanned, "b"
 )
-ALIGNMENT: Final = Quantity("view alignment, left over", "px", 3, _alignment, {})
-ALIGNMENT_STATED: Final = Quantity("view alignment, left over / stated", "", 2, _alignment_stated, {})
-OFFSET: Final = Quantity("slit offset, error", "rows", 4, _offset, {})
-OFFSET_STATED: Final = Quantity("slit offset, error / stated", "", 2, _offset_stated, {})
-GALVO: Final = Quantity("galvo map, error at the middle", "rows", 3, _galvo, {})
-BOW: Final = Quantity("bow of the line, error at the rim", "rows", 3, _bow, {})
-TRACKED: Final = Quantity("frames tracked in the first segment", "", 3, _tracked, {})
-TRACKING: Final = Quantity("tracking error", "px", 3, _tracking_error, {})
-ELS_10DB: Final = Quantity("ELS+ 10 dB distance", "um", 1, _els_10db, {})
-LS_10DB: Final = Quantity("LS 10 dB distance", "um", 1, _ls_10db, {})
+ALIGNMENT: Final = Quantity("view alignment, left over", "px", 3, _alignment)
+ALIGNMENT_STATED: Final = Quantity("view alignment, left over / stated", "", 2, _alignment_stated)
+OFFSET: Final = Quantity("slit offset, error", "rows", 4, _offset)
+OFFSET_STATED: Final = Quantity("slit offset, error / stated", "", 2, _offset_stated)
+GALVO: Final = Quantity("galvo map, error at the middle", "rows", 3, _galvo)
+BOW: Final = Quantity("bow of the line, error at the rim", "rows", 3, _bow)
+TRACKED: Final = Quantity("frames tracked in the first segment", "", 3, _tracked)
+TRACKING: Final = Quantity("tracking error", "px", 3, _tracking_error)
+ELS_10DB: Final = Quantity("ELS+ 10 dB distance", "um", 1, _els_10db)
+LS_10DB: Final = Quantity("LS 10 dB distance", "um", 1, _ls_10db)
 ROWS_OFF: Final = Quantity(
-    "rows off by more than a quarter slit", "", 0, lambda rig, off: float(_scanned(rig, off).off), {}
+    "rows off by more than a quarter slit", "", 0, lambda rig, off: float(_scanned(rig, off).off)
 )
-SCAN_SIGNAL: Final = Quantity("signal kept by the scan", "", 3, lambda rig, off: _scanned(rig, off).signal, {})
+SCAN_SIGNAL: Final = Quantity("signal kept by the scan", "", 3, lambda rig, off: _scanned(rig, off).signal)
 
 _LEARNED: Final = ("scan_correction",)
 _GAINS: Final = ("gain_map", "residual_flat")

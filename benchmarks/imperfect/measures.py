@@ -72,7 +72,6 @@ def sectioning(
     scene: Scene,
     *,
     seed: int = 0,
-    line_rows: Rows | None = None,
     row_corrections: bool = True,
 ) -> Sectioning:
     """Correlate LS and ELS+ of one frame with the focal plane alone, as the same view shows it without noise."""
@@ -80,7 +79,7 @@ def sectioning(
     section = Sectioner(calibration, rig.instrument.frame_shape, row_reference=row_corrections)
     bare = Sectioner(calibration.model_copy(update={"background": None}), rig.instrument.frame_shape)
     wanted = bare.ls(renderer.in_focus().render(0)).copy()
-    raw = renderer.render(0, line_rows=line_rows)
+    raw = renderer.render(0)
     if row_corrections:
         power = RowPower(section, calibration)
         found = [power.image(raw, mode) for mode in (Mode.LS, Mode.ELS)]

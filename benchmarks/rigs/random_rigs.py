@@ -113,6 +113,10 @@ class Rig:
         """Return the same rig in other light, the camera's gain following."""
         return replace(self, photons=photons, electrons_per_dn=max(photons / 120, 0.5))
 
+    def over_exposed(self, times: float) -> Self:
+        """Return the same rig with the camera's gain raised so many times."""
+        return replace(self, electrons_per_dn=self.electrons_per_dn / times)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of a frame."""

@@ -11,37 +11,27 @@ from benchmarks.harness.methods import Benchmark, Case, Chart, stressed
 from benchmarks.rigs.random_rigs import Rig
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from benchmarks.choices.line import Frame
 
-
-def _stressed(seed: int, stress: str, level: float) -> Frame:
-    rig = Rig.draw(seed).with_photons(300.0)
-    match stress:
-        case "electrons":
-            return frame(rig.with_photons(level))
-        case "tilt":
-            return frame(replace(rig, tilt_deg=level))
-        case "halo":
-            return frame(replace(rig, halo_share=level))
-        case "exposure":
-            return frame(replace(rig, electrons_per_dn=rig.electrons_per_dn / level))
-    return frame(rig, level * rig.diameter_px / 2)
+STRESSES: dict[str, tuple[tuple[float, ...], Callable[[Rig, float], Frame]]] = {
+    "electrons of the brightest pixel": ((300, 30, 10, 3, 1), lambda rig, x: frame(rig.with_photons(x))),
+    "tilt / degrees": ((0, 2, 4, 6), lambda rig, x: frame(replace(rig, tilt_deg=x))),
+    "light in the halo": ((0.3, 0.6, 0.8, 0.95), lambda rig, x: frame(replace(rig, halo_share=x))),
+    "over-exposure, times": ((1, 4, 16, 64), lambda rig, x: frame(rig.over_exposed(x))),
+    "distance from the centre / radii": ((0.5, 0.8, 0.95, 1.1), lambda rig, x: frame(rig, x * rig.diameter_px / 2)),
+}
+"""Levels of each stress, and the frame of a rig at one."""
 
 
 def _cases(quick: bool) -> list[Case]:
-    stresses: dict[str, tuple[str, tuple[float, ...]]] = {
-        "electrons of the brightest pixel": ("electrons", (300, 30, 10, 3, 1)),
-        "tilt / degrees": ("tilt", (0, 2, 4, 6)),
-        "light in the halo": ("halo", (0.3, 0.6, 0.8, 0.95)),
-        "over-exposure, times": ("exposure", (1, 4, 16, 64)),
-        "distance from the centre / radii": ("rim", (0.5, 0.8, 0.95, 1.1)),
-    }
-    seeds = range(2 if quick else 12)
+    rigs = [Rig.draw(seed).with_photons(300.0) for seed in range(2 if quick else 12)]
 
-    def case(kind: str, level: float) -> Case:
-        return Case("", [_stressed(seed, kind, level) for seed in seeds])
+    def case(make: Callable[[Rig, float], Frame], level: float) -> Case:
+        return Case("", [make(rig, level) for rig in rigs])
 
-    made = {group: (levels, partial(case, kind)) for group, (kind, levels) in stresses.items()}
+    made = {group: (levels, partial(case, make)) for group, (levels, make) in STRESSES.items()}
     return stressed(made, worst=1 if quick else None)
 
 

@@ -4,47 +4,37 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 from benchmarks.choices.pair import METHODS, Lit, judge
 from benchmarks.harness.methods import Benchmark, Case, Chart, named, stressed
 from benchmarks.rigs.random_rigs import Rig
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 _SHOWN = ("cores", "circles", "most lit row and column", "PyFibreBundle find_bundle")
 
 
-def _stressed(seed: int, stress: str, level: float) -> Lit:
-    rig = replace(Rig.draw(seed).with_photons(300.0), turn_deg=0.0, scale=1.0)
-    match stress:
-        case "electrons":
-            rig = rig.with_photons(level)
-        case "turn":
-            rig = replace(rig, turn_deg=level)
-        case "scale":
-            rig = replace(rig, scale=1 + level / 100)
-        case "uneven":
-            rig = replace(rig, uneven=level)
-        case "exposure":
-            rig = replace(rig, electrons_per_dn=rig.electrons_per_dn / level)
-        case "gain":
-            rig = replace(rig, gain=level)
-    return Lit(rig.bundle(1)[0], rig)
+STRESSES: dict[str, tuple[tuple[float, ...], Callable[[Rig, float], Rig]]] = {
+    "electrons of the brightest pixel": ((300, 30, 10, 3), Rig.with_photons),
+    "turn of the right view / degrees": ((0.2, 1, 2, 4), lambda rig, x: replace(rig, turn_deg=x)),
+    "scale of the right view / %": ((0.5, 2, 5), lambda rig, x: replace(rig, scale=1 + x / 100)),
+    "fall of the light across the bundle": ((0.3, 0.6, 0.9), lambda rig, x: replace(rig, uneven=x)),
+    "over-exposure, times": ((1, 2, 4, 8), Rig.over_exposed),
+    "brightness of the right view": ((0.8, 0.4, 0.1), lambda rig, x: replace(rig, gain=x)),
+}
+"""Levels of each stress, and a rig under one."""
 
 
 def _cases(quick: bool) -> list[Case]:
-    stresses: dict[str, tuple[str, tuple[float, ...]]] = {
-        "electrons of the brightest pixel": ("electrons", (300, 30, 10, 3)),
-        "turn of the right view / degrees": ("turn", (0.2, 1, 2, 4)),
-        "scale of the right view / %": ("scale", (0.5, 2, 5)),
-        "fall of the light across the bundle": ("uneven", (0.3, 0.6, 0.9)),
-        "over-exposure, times": ("exposure", (1, 2, 4, 8)),
-        "brightness of the right view": ("gain", (0.8, 0.4, 0.1)),
-    }
-    seeds = range(1 if quick else 8)
+    drawn = (Rig.draw(seed).with_photons(300.0) for seed in range(1 if quick else 8))
+    rigs = [replace(rig, turn_deg=0.0, scale=1.0) for rig in drawn]
 
-    def case(kind: str, level: float) -> Case:
-        return Case("", [_stressed(seed, kind, level) for seed in seeds])
+    def case(make: Callable[[Rig, float], Rig], level: float) -> Case:
+        return Case("", [Lit(rig.bundle(1)[0], rig) for rig in (make(rig, level) for rig in rigs)])
 
-    made = {group: (levels, partial(case, kind)) for group, (kind, levels) in stresses.items()}
+    made = {group: (levels, partial(case, make)) for group, (levels, make) in STRESSES.items()}
     return stressed(made, worst=1 if quick else None)
 
 
