@@ -45,19 +45,15 @@ def draw_benchmark(result: Result) -> Figure:
     matplotlib.figure.Figure
         To be saved; it belongs to no screen.
     """
-    match result.benchmark.chart:
-        case Chart.PARETO:
-            figure = _pareto(result)
-        case Chart.FAILURES:
-            figure = _failures(result)
-        case Chart.PARSIMONY:
-            figure = _parsimony(result)
-        case Chart.STAGES:
-            figure = _stages(result)
-        case Chart.LATENCY:
-            figure = _latency(result)
-        case Chart.LEVELS:
-            figure = _levels(result)
+    draw = {
+        Chart.PARETO: _pareto,
+        Chart.FAILURES: _failures,
+        Chart.PARSIMONY: _parsimony,
+        Chart.STAGES: _stages,
+        Chart.LATENCY: _latency,
+        Chart.LEVELS: _levels,
+    }
+    figure = draw[result.benchmark.chart](result)
     figure.suptitle(result.benchmark.question)
     absent = f"   absent: {', '.join(result.absent)}" if result.absent else ""
     figure.supxlabel(result.machine + absent, fontsize=7, color="0.4")

@@ -78,21 +78,19 @@ def predicted_um(target: Target, line: LineModel) -> float:
         return _FAR_UM
 
 
-def _fitted(
-    make: Callable[[Floats], LineModel], start: tuple[float, ...]
-) -> Callable[[Case], Callable[[HeldOut], float]]:
-    """Prepare the fit of a model; parameters are positive, so their logarithms are fitted."""
+def _fitted(make: Callable[..., LineModel], start: tuple[float, ...]) -> Callable[[Case], Callable[[HeldOut], float]]:
+    """Prepare the fit of as many parameters as are started; they are positive, so their logarithms are fitted."""
 
     def predict(item: HeldOut) -> float:
         def misses(logarithms: Floats) -> Any:
             try:
-                line = make(np.exp(logarithms))
+                line = make(*np.exp(logarithms))
             except ElsPlusError:
                 return np.full(len(item.known), 10.0)
             return [np.log(predicted_um(target, line) / target.um) for target in item.known]
 
         best = least_squares(misses, np.log(start), loss="soft_l1", f_scale=0.1, max_nfev=30)
-        return predicted_um(item.asked, make(np.exp(best.x)))
+        return predicted_um(item.asked, make(*np.exp(best.x)))
 
     return lambda _: predict
 
@@ -102,31 +100,19 @@ def judge(item: HeldOut, answer: float) -> Judgement:
     return Judgement(100 * abs(answer / item.asked.um - 1))
 
 
-def _share(x: float) -> float:
-    return float(x / (1 + x))
+def _without_halo(core_um: float, spread: float, gap_um: float = 0.0) -> LineModel:
+    return LineModel(core_um, _ALMOST_NO_HALO, 2 * core_um, spread, gap_um)
 
 
-def _gaussian(p: Floats) -> LineModel:
-    return LineModel(p[0], _ALMOST_NO_HALO, 2 * p[0], p[1], 0.0)
-
-
-def _gaussian_with_gap(p: Floats) -> LineModel:
-    return LineModel(p[0], _ALMOST_NO_HALO, 2 * p[0], p[1], p[2])
-
-
-def _core_and_halo(p: Floats) -> LineModel:
-    return LineModel(p[0], _share(p[1]), p[2], p[3], 0.0)
-
-
-def _core_halo_and_gap(p: Floats) -> LineModel:
-    return LineModel(p[0], _share(p[1]), p[2], p[3], p[4])
+def _with_halo(core_um: float, halo_over_core: float, halo_um: float, spread: float, gap_um: float = 0.0) -> LineModel:
+    return LineModel(core_um, halo_over_core / (1 + halo_over_core), halo_um, spread, gap_um)
 
 
 METHODS = (
-    Method("Gaussian line", Role.OPTION, _fitted(_gaussian, (10, 0.2)), 2),
-    Method("Gaussian, gap", Role.OPTION, _fitted(_gaussian_with_gap, (10, 0.2, 10)), 3),
-    Method("core and halo", Role.OPTION, _fitted(_core_and_halo, (5, 1.5, 35, 0.2)), 4),
-    Method("core, halo, gap", Role.DEFAULT, _fitted(_core_halo_and_gap, (5, 1.5, 35, 0.2, 14)), 5),
+    Method("Gaussian line", Role.OPTION, _fitted(_without_halo, (10, 0.2)), 2),
+    Method("Gaussian, gap", Role.OPTION, _fitted(_without_halo, (10, 0.2, 10)), 3),
+    Method("core and halo", Role.OPTION, _fitted(_with_halo, (5, 1.5, 35, 0.2)), 4),
+    Method("core, halo, gap", Role.DEFAULT, _fitted(_with_halo, (5, 1.5, 35, 0.2, 14)), 5),
 )
 
 BENCHMARK = Benchmark(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -348,13 +348,11 @@ def normalised_errors(poses: Sequence[Pose], true: NDArray[np.float64]) -> NDArr
 
 def total(counts: Iterable[Counts]) -> Counts:
     """Return the counts of several recordings together."""
-    every = list(counts)
-    return Counts(
-        sum(c.countable for c in every), sum(c.kept for c in every), sum(c.accepted for c in every),
-        sum(c.wrong for c in every), sum(c.avoidable for c in every),
-        np.concatenate([c.errors_px for c in every]), np.concatenate([c.normalised for c in every]),
-        sum(c.drift_px for c in every), sum(c.path_px for c in every), sum(c.segments for c in every),
-    )  # fmt: skip
+
+    def added(values: Sequence[Any]) -> Any:
+        return np.concatenate(values) if isinstance(values[0], np.ndarray) else sum(values)
+
+    return Counts(*map(added, zip(*counts, strict=True)))
 
 
 def measure(row: Row, seeds: Iterable[int] = HELD_OUT_SEEDS, frames: int = FRAMES) -> Counts:
