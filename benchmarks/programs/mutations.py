@@ -250,9 +250,9 @@ def try_all(mistakes: Sequence[Mistake]) -> Iterator[tuple[Mistake, str, float]]
     with tempfile.TemporaryDirectory(prefix="mutations-") as name:
         for tests in {TESTS[mistake.module] for mistake in mistakes}:
             with copied_checkout(Path(name) / "copy", "src", "tests", "pyproject.toml") as folder:
-                if _run_tests(folder, tests):
+                if failure := _run_tests(folder, tests):
                     log = (folder / "log.txt").read_text("utf-8")
-                    raise RuntimeError(f"the tests of the unchanged package fail:\n{log[-3000:]}")
+                    raise RuntimeError(f"the tests of the unchanged package fail: {failure}\n{log[-3000:]}")
         for mistake in mistakes:
             begin_s = time.monotonic()
             with copied_checkout(Path(name) / "copy", "src", "tests", "pyproject.toml") as folder:
@@ -297,7 +297,7 @@ def _pytest(folder: Path, tests: Sequence[str]) -> int:
     os.dup2(log, 1)
     os.dup2(log, 2)
     paths = [f"tests/hardware/{test}" for test in tests]
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-k", "not grpc", *paths]))
+    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-k", "not grpc", "-m", "not slow", *paths]))
 
 
 def _await(child: int) -> int:
