@@ -26,9 +26,9 @@ def cpu_s(process: psutil.Process) -> float:
     return float(times.user + times.system)
 
 
-def memory_mb() -> float:
-    """Memory of this process that no file maps, rings shared with others included, MB."""
-    process = psutil.Process()
+def memory_mb(process: psutil.Process | None = None) -> float:
+    """Memory of a process (this one by default) that no file maps, rings shared with others included, MB."""
+    process = process or psutil.Process()
     status = Path(f"/proc/{process.pid}/status")
     if not status.exists():  # where the system is not Linux, files are counted, too
         return float(process.memory_info().rss) / (1 << 20)

@@ -40,8 +40,8 @@ MODULES: dict[str, str] = {  # the module, and its benchmark where that is not c
 }
 
 PROGRAMS = (
-    "acquire", "batch", "driver", "live-mosaic", "long-track", "lost-probe", "mosaic-size", "mutations", "process",
-    "rendering", "start",
+    "acquire", "batch", "driver", "live-mosaic", "long-track", "lost-probe", "mosaic-size", "mutations", "opening",
+    "process", "rendering", "soak", "start",
 )  # fmt: skip
 """Modules in the folder of programs, each with a command of its name."""
 

@@ -1,4 +1,4 @@
-"""An engine run for some time and measured: lateness, losses, processor time."""
+"""An engine run for some time and measured: lateness, losses, processor time, memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import psutil
 
-from benchmarks.harness.machine import cpu_s
+from benchmarks.harness.machine import cpu_s, memory_mb
 from napari_elsplus.acquisition.engine.live_images import RAW
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 LOOK_S: Final = 1 / 60
 SETTLE_S: Final = 3.0
-"""Left out of processor time: what a stream needs once."""
+"""Left out of processor time and memory: what a stream needs once."""
+_MEMORY_EVERY_S: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,14 @@ class EngineRun:
         Processor time of the engine's process, simulator included, while it was measured.
     measured_s : float
         How long that was.
+    memory_mb : numpy.ndarray
+        Once a second.
     """
 
     status: Status
     cpu_s: float
     measured_s: float
+    memory_mb: np.ndarray[Any, np.dtype[np.float64]]
 
     @property
     def cpu_us_per_frame(self) -> float:
@@ -69,7 +73,7 @@ def run_engine(
     seconds : float
         How long, after it has settled.
     settle_s : float
-        How long to wait before processor time is measured.
+        How long to wait before processor time and memory are measured.
     between : callable
         What else whoever looks on has to do after each look.
     """
@@ -79,11 +83,14 @@ def run_engine(
         watched.go_on(settle_s)
         process = psutil.Process(engine.pid)
         before_s, begin_s = cpu_s(process), time.perf_counter()
-        watched.go_on(seconds)
+        memory = [memory_mb(process)]
+        while (left_s := begin_s + seconds - time.perf_counter()) > 0:
+            watched.go_on(min(left_s, _MEMORY_EVERY_S))
+            memory.append(memory_mb(process))
         spent_s, end_s = cpu_s(process) - before_s, time.perf_counter()
         engine.end()
         status = engine.outcome()
-    return EngineRun(status, spent_s, end_s - begin_s)
+    return EngineRun(status, spent_s, end_s - begin_s, np.array(memory))
 
 
 class _Look:
