@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from struct import pack, pack_into, unpack_from
 
 import numpy as np
@@ -24,6 +24,8 @@ from napari_elsplus.hardware.virtual.camera.endpoints import (
 BUSY, PENDING = 0x8007, 0x0805
 """GenCP 1.1: the status of a command that is refused, and the acknowledgement that asks for time."""
 PENDING_MS = 50
+BUS_PART_BYTES = 64 * PACKET
+"""What a slow bus has carried of a transfer is there for the host in parts of so many bytes."""
 IMAGE_WITH_CHUNKS = 0x4001
 """USB3 Vision 1.0.1, table of payload types."""
 CHUNK_BYTES = 24
@@ -134,13 +136,19 @@ class FaultyCamera(VirtualCamera):
         return lines + (CHUNK_BYTES if settings.chunks else 0)
 
     def _transfers(self, shot: Shot, sizes: list[int]) -> Iterator[Transfer]:
-        """The transfers as the bus carries them; with empty packets, one before the trailer."""
+        """The transfers as the bus carries them, a slow one in parts; with empty packets, one before the trailer."""
+        rate = self.faults.bus_bytes_per_s
         for transfer in super()._transfers(shot, sizes):
             if self.faults.empty_packets and bytes(transfer.data[:4]) == b"U3VT":
                 yield Transfer(transfer.data[:0], PACKET, shot.read_out_s)
-            begins_s = max(self._bus_free_s, transfer.due_s, self.bench.clock.now_s())
-            self._bus_free_s = begins_s + len(transfer.data) / self.faults.bus_bytes_per_s
-            yield replace(transfer, due_s=max(self._bus_free_s, transfer.due_s))
+            size = max(len(transfer.data), 1)
+            part = BUS_PART_BYTES if np.isfinite(rate) else size
+            for first in range(0, size, part):
+                data = transfer.data[first : first + part]
+                begins_s = max(self._bus_free_s, transfer.due_s, self.bench.clock.now_s())
+                self._bus_free_s = begins_s + len(data) / rate
+                room = len(data) if first + part < size else transfer.room - first
+                yield Transfer(data, room, max(self._bus_free_s, transfer.due_s))
 
     def _leader(self, shot: Shot) -> bytes:
         leader = bytearray(super()._leader(shot))
