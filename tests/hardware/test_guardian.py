@@ -18,7 +18,8 @@ import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq import takeover as takeover_module
+from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian import supervision as guardian_module
 from napari_elsplus.hardware.guardian.process import STANDSTILL_S, guard
@@ -300,8 +301,8 @@ def test_the_supervision_of_a_guardian_outlives_whoever_fails_on_its_reports() -
         seconds_until(lambda: bool(parks))
 
 
-def test_an_engine_moves_no_galvo_that_has_no_guardian(monkeypatch) -> None:
-    """Before: a scan was accepted while nothing was on guard."""
+def test_neither_an_engine_nor_a_script_moves_a_galvo_that_has_no_guardian(monkeypatch) -> None:
+    """Before: a scan was accepted while nothing was on guard; then one of the scanner itself."""
     rig = open_rig("simulated", Simulation(scene=empty(), own_process=True))
     with Engine(rig) as engine:
         engine.hold(0.1)
@@ -309,11 +310,64 @@ def test_an_engine_moves_no_galvo_that_has_no_guardian(monkeypatch) -> None:
             exhausted.setattr(guardian_module.subprocess, "Popen", no_memory)
             os.kill(rig.guardian.pid, signal.SIGKILL)
             seconds_until(lambda: rig.scanner.park_state.parked)
-            with pytest.raises(DeviceError, match="no guardian"):
-                engine.hold(0.1)
+            for hold in (engine.hold, rig.scanner.hold):
+                with pytest.raises(DeviceError, match="no guardian"):
+                    hold(0.1)
             seconds_until(lambda: rig.scanner.park_state.parked)
         seconds_until(lambda: rig.guardian.on_guard, 20)
         engine.hold(0.1)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_guardian_that_the_system_cannot_end_does_not_hold_up_its_replacement(monkeypatch) -> None:
+    """Before: its end was waited for without end, and nothing was on guard meanwhile, without a word."""
+    with (
+        CardServer(VirtualCard()) as server,
+        Guardian(order_for(server.address)) as guardian,
+    ):
+        first = guardian.pid
+        with monkeypatch.context() as held_up:
+            held_up.setattr(guardian_module.subprocess.Popen, "kill", lambda _: None)
+            os.kill(first, signal.SIGSTOP)
+            seconds_until(lambda: guardian.pid != first and guardian.on_guard, 20)
+        os.kill(first, signal.SIGKILL)
+
+
+def test_an_order_that_fails_is_carried_out_again(monkeypatch) -> None:
+    """Before: a guardian without memory for the first call ended, and nobody parked."""
+    card = VirtualCard()
+    opened = []
+
+    def open_without_memory(*arguments: object) -> Output:
+        opened.append(arguments)
+        if len(opened) < 3:
+            raise MemoryError
+        return Output(*arguments)
+
+    monkeypatch.setattr(takeover_module, "Output", open_without_memory)
+    told: list[str] = []
+    with CardServer(card) as server:
+        order = json.dumps(asdict(order_for(server.address)))
+        guard(io.StringIO(order + "\n"), io.StringIO(), lambda state: told.append(state.message))
+    assert card.last_volts == -0.7
+    assert told[0].startswith("NOT PARKED")
+
+
+def test_a_guardian_whose_start_is_interrupted_is_ended(monkeypatch) -> None:
+    """Before: it stayed, and took the card over two seconds later from whoever drove it then."""
+    started: list[guardian_module.GuardianProcess] = []
+
+    def interrupt(process: guardian_module.GuardianProcess, _: float) -> bool:
+        started.append(process)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(guardian_module.GuardianProcess, "wait_until_ready", interrupt)
+    card = VirtualCard()
+    with CardServer(card) as server:
+        with pytest.raises(KeyboardInterrupt):
+            Guardian(order_for(server.address))
+        seconds_until(lambda: not started[0].alive)
+    assert card.last_volts == 0.0
 
 
 def test_a_guardian_that_cannot_reach_the_card_does_not_pretend_to_watch() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.parking import MANY_ATTEMPTS, RESET_AFTER, Parking, ParkStage, ParkState
+from napari_elsplus.hardware.parking import MANY_ATTEMPTS, RESET_AFTER, RESET_INTERVAL_S, Parking, ParkStage, ParkState
 
 PARK_V = -0.7
 
@@ -28,6 +28,7 @@ class SimulatedOutput:
     refuses_until_s: float = 0.0
     clear_fails: int = 0
     stuck: bool = False
+    laser_fails: bool = False
     reads_back: bool = True
     power_up_v: float | None = 0.0
     reset_takes_s: float = 0.05
@@ -47,6 +48,8 @@ class SimulatedOutput:
 
     def laser_off(self) -> None:
         self._call("laser off")
+        if self.laser_fails:
+            raise DeviceError("the line is reserved", "free it")
         self.laser_on = False
 
     def clear(self) -> None:
@@ -98,6 +101,30 @@ def test_parked_needs_the_cards_confirmation() -> None:
     assert until_parked(parking, output).read_back_v == PARK_V
 
 
+def test_a_parked_galvo_whose_laser_line_was_not_switched_off_says_so() -> None:
+    """Before: parked, and not a word of a shutter that stayed open."""
+    output = SimulatedOutput(laser_fails=True)
+    parking = Parking(output, PARK_V, output.clock)
+    state = parking.attempt()
+    assert state.parked
+    assert state.message == "parked, but the laser's line was not switched off (the line is reserved: free it)"
+    output.laser_fails = False
+    parking.begin(ParkStage.DRIVEN)
+    assert parking.attempt().message == ""
+
+
+@pytest.mark.parametrize("laser_fails", [False, True])
+def test_where_calls_do_not_return_the_reset_comes_first_and_not_more_often(laser_fails: bool) -> None:
+    output = SimulatedOutput(laser_fails=laser_fails, stuck=True)
+    parking = Parking(output, PARK_V, output.clock)
+    begun_s = output.now_s
+    for _ in range(20):
+        output.now_s += parking.attempt(stuck=True).retry_s
+    assert output.steps[0] == "reset"
+    resets = output.steps.count("reset")
+    assert 1 < resets <= 1 + (output.now_s - begun_s) / RESET_INTERVAL_S
+
+
 def test_a_card_that_cannot_read_back_confirms_by_its_task() -> None:
     output = SimulatedOutput(reads_back=False)
     state = Parking(output, PARK_V, output.clock).attempt()
@@ -117,6 +144,32 @@ def test_the_reset_is_the_last_step_with_the_laser_off_before_and_the_write_at_o
     assert state.reset_s == pytest.approx(output.reset_takes_s + 0.001)
     assert "power-up voltage" in state.message
     assert not output.laser_on
+
+
+def test_the_time_at_the_power_up_voltage_counts_from_the_first_reset_after_which_nothing_was_written() -> None:
+    """Before: from the last reset alone, while the line had stood on the bundle since the first one."""
+    output = SimulatedOutput(clear_fails=1, reserved=True)
+    parking = Parking(output, PARK_V, output.clock)
+    put, refused = output.put, []
+
+    def refuse_twice_after_a_reset(volts: float) -> None:
+        if "reset" in output.steps and len(refused) < 2:
+            refused.append(output.now_s)
+            raise DeviceError("the card is in use", "wait")
+        put(volts)
+
+    output.put = refuse_twice_after_a_reset  # type: ignore[method-assign]
+    state = until_parked(parking, output)
+    assert len(refused) == 2
+    assert state.reset_s == pytest.approx(output.now_s - refused[0] + output.reset_takes_s, abs=0.01)
+
+
+def test_a_reset_that_fails_is_not_counted_as_one() -> None:
+    """Before: "reset 4 times" of a card that was unplugged."""
+    output = SimulatedOutput(refuses_until_s=1.0)
+    state = until_parked(Parking(output, PARK_V, output.clock), output)
+    assert output.steps.count("reset") > 2
+    assert state.resets <= 1
 
 
 def test_it_is_retried_without_end_and_parked_soon_after_the_card_accepts_again() -> None:

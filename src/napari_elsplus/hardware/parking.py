@@ -60,12 +60,12 @@ class ParkState:
     stage : ParkStage
         Where parking stands.
     problem : str
-        Why the last attempt failed; empty unless `stage` is ``NOT_PARKED``.
+        Why the last attempt failed; of a galvo that is parked, why the laser's line was not switched off.
     attempts, resets : int
         Attempts since parking was commanded, and resets of the card among them.
     reset_s : float
-        Seconds from the beginning of those resets to the write of the parking voltage, in which the output may have
-        been at its power-up voltage.
+        Seconds from those resets to the next voltage that was put out, in which the output may have been at its
+        power-up voltage.
     read_back_v : float, optional
         Voltage that the card measured on its output; None where it cannot.
 
@@ -94,9 +94,11 @@ class ParkState:
 
     @property
     def message(self) -> str:
-        """Instruction while the galvo is not parked; else the time that a reset may have exposed the bundle."""
+        """Instruction while the galvo is not parked, or the laser on; else how long a reset may have lit the bundle."""
         if self.stage is ParkStage.NOT_PARKED:
             return f"{LASER_OFF} ({self.problem}; parking is retried)"
+        if self.problem:
+            return f"parked, but the laser's line was not switched off ({self.problem})"
         if self.resets:
             return f"the card was reset {self.resets} times: up to {self.reset_s * 1e3:.0f} ms at its power-up voltage"
         return ""
@@ -142,6 +144,8 @@ class Parking:
         self._state = ParkState()
         self._subscribers: list[Callable[[ParkState], None]] = []
         self._last_reset_s = -RESET_INTERVAL_S
+        self._power_up_s: float | None = None
+        """When the first reset began after which nothing has been put out yet."""
 
     @property
     def state(self) -> ParkState:
@@ -188,33 +192,42 @@ class Parking:
         with self._changed:
             return self._changed.wait_for(lambda: self._state.parked, timeout_s)
 
-    def attempt(self) -> ParkState:
-        """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises, whatever the output does."""
+    def attempt(self, *, stuck: bool = False) -> ParkState:
+        """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises, whatever the output does.
+
+        Parameters
+        ----------
+        stuck : bool
+            Calls to the card may not return before a reset, which comes first.
+        """
         self.begin(ParkStage.PARKING)
         before, volts = self._state, self.volts
         resets, reset_s = before.resets, before.reset_s
-        problems = [self._try(self.output.laser_off)]
-        due = self._now_s() - self._last_reset_s >= RESET_INTERVAL_S
-        begun_s = self._now_s()
-        if before.attempts >= RESET_AFTER and due:
-            self._last_reset_s = begun_s
-            problems.append(self._try(self.output.reset))
-            resets += 1
+        laser, problem = "" if stuck else self._try(self.output.laser_off), ""
+        now_s = self._now_s()
+        resets_now = (stuck or before.attempts >= RESET_AFTER) and now_s - self._last_reset_s >= RESET_INTERVAL_S
+        if resets_now:
+            self._last_reset_s = now_s
+            problem = self._try(self.output.reset)
+            if not problem:
+                resets += 1
+                self._power_up_s = now_s if self._power_up_s is None else self._power_up_s
         elif before.attempts:
-            problems.append(self._try(self.output.clear))
+            problem = self._try(self.output.clear)
         try:
             self.output.put(volts)
-            if resets > before.resets:
-                reset_s += self._now_s() - begun_s
-                self._try(self.output.laser_off)  # a reset sets digital lines to their power-up state
+            if self._power_up_s is not None:
+                reset_s, self._power_up_s = reset_s + self._now_s() - self._power_up_s, None
+            if resets_now:
+                laser = self._try(self.output.laser_off)  # a reset sets digital lines to their power-up state
             read_back_v = self.output.confirm(volts)
         except Exception as error:  # noqa: BLE001 - the next attempt has to come, also after a defect or without memory
             failed = _problem(error)
-            problem = next(filter(None, reversed(problems)), failed) if before.attempts else failed
+            problem = problem or laser or failed if before.attempts else failed
             state = ParkState(ParkStage.NOT_PARKED, problem, before.attempts + 1, resets, reset_s)
         else:
             stage = ParkStage.PARKED if volts == self.volts else ParkStage.PARKING  # it may have been changed meanwhile
-            state = ParkState(stage, "", before.attempts + 1, resets, reset_s, read_back_v)
+            state = ParkState(stage, laser, before.attempts + 1, resets, reset_s, read_back_v)
         self._change(lambda _: state)
         return state
 

@@ -657,5 +657,9 @@ def test_a_galvo_that_is_not_parked_is_shown_with_what_to_do_by_hand(
         status = engine.status()
         assert "NOT PARKED: switch the laser off" in status.faults[0].problem
         assert "NOT PARKED: switch the laser off" in status.report()["galvo"]["message"]
+        told[0](ParkState(ParkStage.PARKED, "the line is reserved"))
+        assert not any("NOT PARKED" in fault.problem for fault in engine.status().faults)
+        assert "parked late" in engine.status().faults[0].problem
+        assert "laser's line was not switched off" in engine.status().faults[-1].problem
     assert "NOT PARKED: switch the laser off" in caplog.text
     assert not told

@@ -12,8 +12,11 @@ import pytest
 
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
+from napari_elsplus.acquisition.link.session import Session
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.virtual.card.process import RemoteCard, start_card
+from small_rig import SmallRig
 from waiting import until
 
 ENGINE = Path(__file__).parents[1] / "engine_process.py"
@@ -62,3 +65,35 @@ def test_of_an_engine_that_does_not_answer_nothing_is_claimed(client: EngineClie
     until(lambda: client.status.park_state.parked, seconds=30.0)
     assert any("stood still" in fault.problem for fault in client.status.faults)
     assert not any("has not answered" in fault.problem for fault in client.status.faults)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_of_an_engine_that_was_killed_while_the_galvo_was_parked_nothing_is_claimed(client: EngineClient) -> None:
+    """Before: parked, although the engine may have moved it since its last status."""
+    client.park().result(60)
+    until(lambda: client.status.park_state.parked)
+    os.kill(client.pid, signal.SIGKILL)
+    until(lambda: client.died is not None)
+    assert client.status.park_state.stage is ParkStage.UNKNOWN
+
+
+def test_while_a_rig_is_closed_its_own_galvo_is_told_and_not_that_of_the_rig_before() -> None:
+    """Before: parked as the rig before was, while this one was driven and refused to park."""
+    rigs = [SmallRig(), SmallRig()]
+    session = Session(lambda _: rigs.pop())
+    session.open("first")
+    session.close()
+    assert session.status.park_state.parked
+    session.open("second")
+    scanner, told = session.rig.scanner, []
+
+    def refuse() -> None:
+        told.append(session.status.park_state.parked)
+        raise DeviceError("the card is in use", "free it")
+
+    scanner.park, scanner.close = refuse, lambda: None  # type: ignore[method-assign]
+    session.engine.hold(0.3)
+    session.close()
+    told.append(session.status.park_state.parked)
+    assert len(told) > 1
+    assert not any(told)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
+from itertools import pairwise
 
 import pytest
 
 from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.hardware.daq.output import Output
 from napari_elsplus.hardware.daq.scanner import COMPARE_EVERY_S, DaqScanner
-from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
+from napari_elsplus.hardware.parking import LASER_OFF, RESET_INTERVAL_S, ParkStage
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform, els_waveform
 from napari_elsplus.hardware.virtual.card.card import POWER_ON_V, VirtualCard
@@ -356,3 +358,54 @@ def test_a_park_that_the_cards_thread_completes_at_once_is_not_called_not_parked
         scanner._parks = TakenUpAtOnce()
         scanner.park()
         assert scanner.park_state.parked
+
+
+def test_a_card_that_fails_once_while_it_is_opened_is_parked(cards) -> None:
+    """Before: refused, and the line stayed where a program that had crashed had left it."""
+    bench = cards()
+    bench.card.break_with(-200621)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        assert scanner.park_state.parked
+        assert bench.card.last_volts == PARK_V
+
+
+def test_a_card_that_another_program_drives_is_left_to_it_and_that_the_galvo_is_not_parked_is_said(cards) -> None:
+    """Before: only that the card is in use."""
+    bench = cards()
+    bench.card.break_with(-50103)
+    with pytest.raises(DeviceError, match=r"in use by another program.*the galvo was not parked"):
+        DaqScanner(bench.settings, bench.limits)
+
+
+def test_while_a_call_does_not_return_resets_stay_apart_although_parking_fails(cards, monkeypatch) -> None:
+    """Before: forty a second, each of which may put the line on the bundle."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        returns, resets = threading.Event(), []
+        reset, confirm = Output.reset, Output.confirm
+
+        def counted(output: Output) -> None:
+            resets.append(time.perf_counter())
+            reset(output)
+
+        def unconfirmed(output: Output, volts: float) -> float | None:
+            if output is not scanner._output and len(resets) < 4:
+                raise DeviceError("the output is elsewhere", "check the wire")
+            return confirm(output, volts)
+
+        monkeypatch.setattr(Output, "reset", counted)
+        monkeypatch.setattr(Output, "confirm", unconfirmed)
+
+        def stuck() -> None:
+            with suppress(DeviceError), scanner._output.calls():
+                returns.wait(20)
+
+        thread = threading.Thread(target=lambda: scanner._card.execute(stuck))
+        thread.start()
+        until = time.perf_counter() + 20
+        while len(resets) < 4 and time.perf_counter() < until:
+            time.sleep(0.02)
+        returns.set()
+        thread.join(20)
+        gaps_s = [later - earlier for earlier, later in pairwise(resets)]
+        assert min(gaps_s) > 0.9 * RESET_INTERVAL_S

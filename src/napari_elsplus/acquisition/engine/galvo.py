@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.parking import ParkStage
+from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
 from napari_elsplus.hardware.scan.clearance import check_parking
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
 
@@ -167,6 +167,13 @@ class GalvoController:
     def _note(self, state: ParkState) -> None:
         if state.stage is ParkStage.NOT_PARKED:
             self._faults.add("scanner", DeviceError(state.message, "parking goes on until the card confirms it"))
+        elif state.parked and self._faults.remove(LASER_OFF):
+            late = DeviceError(
+                "the galvo was parked late: the card had refused", "see what else uses it, and its cable"
+            )
+            self._faults.add("scanner", late)
+        if state.parked and state.problem:
+            self._faults.add("scanner", DeviceError(state.message, "switch the laser off by hand, and check that line"))
 
     def _move(self, move: Callable[[], None]) -> None:
         self._operations.check()

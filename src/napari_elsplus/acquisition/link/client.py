@@ -107,11 +107,18 @@ class EngineClient(ClosedOnExit, Commands):
 
     @property
     def status(self) -> Status:
-        """The newest status of the engine; with a fault, and nothing known of the galvo, where it does not answer."""
-        if self._unheard * HEARTBEAT_S < SILENT_S or self.died is not None:
-            return self._status
+        """The newest status of the engine; with a fault, and nothing known of the galvo, where it does not answer.
+
+        Of a galvo that was parked nothing is known either once the process has ended otherwise than by `close`.
+        """
+        status = self._status
+        if self.died is not None:
+            in_order = self._closing and self._process.returncode == 0
+            return status if in_order or not status.park_state.parked else replace(status, park_state=ParkState())
+        if self._unheard * HEARTBEAT_S < SILENT_S:
+            return status
         silent = Fault("engine", f"the engine has not answered for {SILENT_S:g} s", SILENT_REMEDY, time.time())
-        return replace(self._status, park_state=ParkState(), faults=(*self._status.faults, silent))
+        return replace(status, park_state=ParkState(), faults=(*status.faults, silent))
 
     def display(self) -> SharedRing | None:
         """Return the ring of the newest images; to be used by one thread, until the next call."""

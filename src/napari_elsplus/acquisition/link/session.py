@@ -22,6 +22,7 @@ from napari_elsplus.hardware.priority import settle_memory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from napari_elsplus.hardware.protocols import Scanner
     from napari_elsplus.hardware.rig import Rig
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.calibration.slit_offset import SlitOffset
@@ -157,7 +158,7 @@ class Session:
         self._cancelled_s = self._given_s = -inf
         self._progress: ProcedureProgress | None = None
         self._compiling = ""
-        self._left = ParkState()
+        self._scanner: Scanner | None = None  # of the rig that was opened last: its state counts also while it closes
         self.supervision = Supervision(self._secure)
         self.offsets: Newest[SlitOffset | MeasurementError] = Newest()
 
@@ -172,7 +173,7 @@ class Session:
         self.close()
         opened = self._open_rig(rig)
         engine = Engine(opened, make_ring=SharedRing.create)
-        self._opened = _Opened(opened, engine, LiveMosaic(engine))
+        self._opened, self._scanner = _Opened(opened, engine, LiveMosaic(engine)), opened.scanner
         settle_memory()
 
     def close(self) -> None:
@@ -180,10 +181,8 @@ class Session:
         opened, self._opened = self._opened, None
         self.cancel()
         if opened is not None:
-            rig, engine, mosaic = opened
-            engine.close()
-            self._left = rig.scanner.park_state
-            mosaic.clear()
+            opened.engine.close()
+            opened.mosaic.clear()
 
     @property
     def rig(self) -> Rig:
@@ -209,7 +208,8 @@ class Session:
     def status(self) -> Status:
         """Return the status of the engine, the mosaic and the procedure; of a rig that was closed its galvo's."""
         if self._opened is None:
-            return Status(progress=self._progress, compiling=self._compiling, park_state=self._left)
+            parking = ParkState() if self._scanner is None else self._scanner.park_state
+            return Status(progress=self._progress, compiling=self._compiling, park_state=parking)
         _, engine, mosaic = self._opened
         return replace(engine.status(), progress=self._progress, compiling=self._compiling, track=mosaic.state)
 

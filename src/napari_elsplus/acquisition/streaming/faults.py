@@ -66,6 +66,14 @@ class FaultLog:
         if new and not isinstance(error, ElsPlusError):
             sys.excepthook(type(error), error, error.__traceback__)
 
+    def remove(self, beginning: str) -> bool:
+        """Remove the faults whose problem has a beginning, and is over; return True if there were any."""
+        with self._lock:
+            over = [key for key in self._faults if key[1].startswith(beginning)]
+            for key in over:
+                del self._faults[key]
+        return bool(over)
+
     def all(self) -> tuple[Fault, ...]:
         """Return every fault, oldest first."""
         with self._lock:

@@ -138,8 +138,8 @@ def command(
     parking = rig.scanner.park_state  # after closing
     if parking.stage is ParkStage.NOT_PARKED:
         raise DeviceError(parking.message, "keep it off until the galvo is parked")
-    if status.faults:
-        raise InputError(status.faults[0].problem, status.faults[0].remedy)
+    if faults := engine.status().faults:
+        raise InputError(faults[0].problem, faults[0].remedy)
 
 
 def _refuse_more_than_kept(seconds: float, rate_hz: float) -> None:

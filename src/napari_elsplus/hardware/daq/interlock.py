@@ -17,6 +17,8 @@ SILENCE_S: Final = 0.3
 """Seconds; chosen: with a check, a stop and a write it leaves the galvo parked within 0.5 s."""
 NO_FRAMES_S: Final = 1.0
 """Seconds; chosen: above the stalls of a busy computer, since the line sweeps meanwhile and does not stand."""
+AWAITED_S: Final = 3.0
+"""Seconds in which a scan's first ramp has to begin: the line stands meanwhile; chosen: above a late camera's start."""
 LOW_RATE_PERIODS: Final = 1.5
 """Frame periods that have to pass at rates so low that they are longer than `SILENCE_S`."""
 MAX_STEP_S: Final = 0.05
@@ -73,7 +75,7 @@ class Interlock:
         self._samples, self._samples_s = 0, now_s
         self._frames, self._checked_s = frames, now_s
         self._frames_came = False
-        self._no_frames_s = self._no_ramps_s = 0.0
+        self._no_frames_s = self._no_ramps_s = self._awaited_s = 0.0
 
     def fault(self, now_s: float, samples: int, frames: int | None) -> DeviceError | None:
         """Return the fault that stops the galvo, None if there is none.
@@ -101,6 +103,12 @@ class Interlock:
             self._no_ramps_s += step_s if self._frames_came else 0.0
             if self._no_ramps_s > limit_s and came:
                 return self._never_wired()
+            self._awaited_s += step_s
+            if self._awaited_s > AWAITED_S:
+                return DeviceError(
+                    f"no ramp began within {AWAITED_S:g} s of the scan's start, so the galvo was parked",
+                    f"start the camera, and check that its strobe reaches {self._card.strobe}",
+                )
             return self._held_too_long(now_s)
         late_s = now_s - self._samples_s
         if late_s > limit_s:

@@ -84,6 +84,8 @@ class DaqScanner(ClosedOnExit):
         self._interlock = Interlock(card)
         self.hold_limit_s = card.hold_limit_s
         """Seconds after which a line that is held still is parked."""
+        self.check_guarded: Callable[[], None] = lambda: None
+        """Raises while no guardian is on guard; called before every hold and scan."""
         self._frames: Callable[[], int] | None = None
         self._fault: DeviceError | None = None
         self._waveform: Waveform | None = None
@@ -201,6 +203,7 @@ class DaqScanner(ClosedOnExit):
     def _drive(self, move: Callable[[], Result]) -> Result:
         """Move the galvo, unless parking is commanded before or meanwhile; whatever goes wrong parks it."""
         self._refuse_while_parking()
+        self.check_guarded()
         commanded = self._parkings
 
         def in_turn() -> Result:
@@ -353,32 +356,35 @@ class DaqScanner(ClosedOnExit):
         return -(-self._output.samples_done() // self._waveform.samples_per_ramp)
 
     def _first_attempt(self) -> None:
-        """Park, once; a card that cannot be driven at all is refused."""
-        self._output.put(self.park_v)
+        """Park; a card that refuses twice is left to whoever drives it, and the error says that nothing was parked."""
+        if self._parking.attempt().parked:
+            return
+        try:
+            self._output.put(self.park_v)
+        except DeviceError as error:
+            raise DeviceError(f"{error.problem}; the galvo was not parked", error.remedy) from error
         if not self._parking.attempt().parked:
             self._parks.set()
 
     def _go_around(self, call: int) -> bool:
         """Reset the card and park it by tasks of its own while a call does not return; return True if it is parked."""
-        with self._output.calls.resetting_around(call) as stuck:
-            if not stuck:
-                return False
-            self._tasks_lost.set()
-            problem = "a call to the card did not return, so the card was reset and the galvo parked"
-            self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
-            self._command_parking()
-            self._parking.alarm("a call to the card does not return")
-            output = Output(self.card, self.limits)
-            try:
-                output.reset()
-                output.put(self.park_v)
-                output.laser_off()
-                output.confirm(self.park_v)
-            except DeviceError:
-                return False
-            finally:
-                output.release()
-            return True
+        output = Output(self.card, self.limits)
+        parking = Parking(output, self.park_v)
+        try:
+            while not parking.state.parked:
+                with self._output.calls.resetting_around(call) as stuck:
+                    if not stuck:
+                        return False
+                    self._tasks_lost.set()
+                    problem = "a call to the card did not return, so the card was reset and the galvo parked"
+                    self._fault = self._fault or DeviceError(problem, "check its cable, then start again")
+                    self._command_parking()
+                    self._parking.alarm("a call to the card does not return")
+                    state = parking.attempt(stuck=True)
+                time.sleep(state.retry_s)
+        finally:
+            output.release()
+        return True
 
 
 def _as_fault(error: Exception) -> DeviceError:

@@ -14,6 +14,7 @@ import json
 import os
 import signal
 import sys
+import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from queue import Empty, SimpleQueue
@@ -23,13 +24,12 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState, call_each
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TextIO
-
-    from napari_elsplus.hardware.parking import ParkState
 
 ParkOrder: TypeAlias = CardOrder | DriverOrder
 """Instruction by which another process parks: by the card, or by a driver outside this package."""
@@ -76,7 +76,14 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
             _answer(answers, HEARTBEAT)
         else:
             order = _read_order(line)
-    order.take_over(report)
+    while True:
+        try:
+            order.take_over(report)
+        except Exception as error:  # noqa: BLE001 - a defect, or no memory: nobody else would park
+            call_each((report,), ParkState(ParkStage.NOT_PARKED, f"{type(error).__name__}: {error}"))
+            time.sleep(RETRY_LATER_S)
+        else:
+            return
 
 
 def _answer(answers: TextIO, message: str) -> None:

@@ -16,6 +16,7 @@ from dataclasses import asdict, replace
 from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.detached import DETACHED
 from napari_elsplus.hardware.guardian.process import FAREWELL, HEARTBEAT, READY, STANDSTILL_S
 from napari_elsplus.hardware.parking import call_each
@@ -126,26 +127,21 @@ class GuardianProcess:
         """Dismiss it, and wait for its end."""
         with suppress(OSError):  # it is gone already
             self.send(FAREWELL)
-        self._wait_for_end(END_TIMEOUT_S)
+        self.leave()
+        self._listener.join(END_TIMEOUT_S)
+        if self.alive:  # it stands still
+            self.kill()
+            self._listener.join(END_TIMEOUT_S)
 
     def kill(self) -> None:
-        """End it at once; it does not park."""
+        """End it without waiting, since a process that the system holds up ends later; it does not park."""
         self._process.kill()
-        self._wait_for_end(END_TIMEOUT_S)
+        self.leave()
 
     def leave(self) -> None:
         """End its orders without a farewell, upon which it parks."""
         with suppress(OSError):
             cast("IO[str]", self._process.stdin).close()
-
-    def _wait_for_end(self, timeout_s: float) -> None:
-        self.leave()
-        try:
-            self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired:  # it stands still
-            self._process.kill()
-            self._process.wait()
-        self._listener.join()
 
     def _read_answers(self) -> None:
         with cast("IO[str]", self._process.stdout) as pipe:
@@ -155,6 +151,7 @@ class GuardianProcess:
                 self._answered.set()
                 self._beats.set()
         self._answered.set()
+        self._process.wait()  # no zombie is left
 
 
 class Guardian:
@@ -183,9 +180,12 @@ class Guardian:
         self._reports: list[DeviceError] = []
         self._subscribers: list[Callable[[DeviceError], None]] = []
         self._process = GuardianProcess(order)
-        if not self._process.wait_until_ready(START_TIMEOUT_S):
+        try:
+            if not self._process.wait_until_ready(START_TIMEOUT_S):
+                raise DeviceError("the galvo's guardian did not start", "see the messages above")
+        except BaseException:  # also Ctrl-C: one without heartbeats would take the card over later
             self._process.kill()
-            raise DeviceError("the galvo's guardian did not start", "see the messages above")
+            raise
         self._watch = threading.Thread(target=self._supervise, name="guardian watch", daemon=True)
         self._watch.start()
 
@@ -323,6 +323,8 @@ def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack, lost: Cal
         If the guardian does not start.
     """
     guardian = Guardian(order, lost)
+    if isinstance(scanner, DaqScanner):
+        scanner.check_guarded = guardian.check
     scanner.on_park_state(lambda _: guardian.revise(scanner.park_v))
 
     def end() -> None:
