@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import struct
+import time
 import tracemalloc
 import zipfile
 from array import array
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from usb.core import USBTimeoutError
+from usb.core import USBError, USBTimeoutError
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.u3v import control, genapi, packets, stream, transfers
@@ -230,3 +232,115 @@ def test_an_archive_that_unpacks_without_end_is_refused() -> None:
         genapi._unzip(whole.getvalue())
     assert tracemalloc.get_traced_memory()[1] < 64 << 20
     tracemalloc.stop()
+
+
+LONG = (32, 96)
+"""Rows and columns of frames of three packets."""
+HALT, LATE = "halt", "late"
+"""What a bus does instead of carrying a packet: the endpoint halts, or nothing comes in time."""
+
+
+class Bus:
+    """A bulk endpoint: a read ends where its buffer is full, at a short packet, or when nothing more comes in time."""
+
+    def __init__(self, packets_and_events: list[bytes | str]) -> None:
+        self.left, self.halted = packets_and_events, False
+
+    def clear_halt(self, endpoint: int) -> None:
+        self.halted = False
+
+    def read(self, endpoint: int, buffer: array, timeout_ms: int) -> int:
+        came = 0
+        while self.left and not self.halted:
+            packet = self.left[0]
+            if isinstance(packet, str):
+                if came and packet is HALT:
+                    return came  # what came is told first
+                del self.left[0]
+                self.halted = packet is HALT
+                break
+            if came == len(buffer):
+                return came
+            memoryview(buffer)[came : came + len(packet)] = packet
+            came += len(packet)
+            del self.left[0]
+            if len(packet) < transfers.PACKET or came == len(buffer):
+                return came
+        if self.halted:
+            raise USBError("Pipe error", -9, errno.EPIPE)
+        time.sleep(timeout_ms / 1000)
+        if came:
+            return came
+        raise USBTimeoutError("nothing", None, errno.ETIMEDOUT)
+
+
+def long_frame(
+    number: int, *, leader: int | None = None, trailer: int | None = None, ticks: int | None = None
+) -> tuple[list[bytes], list[bytes], list[bytes]]:
+    """Leader, payload and trailer of a frame, in packets; ids and time of its own by default."""
+    rows, cols = LONG
+    first, last = number if leader is None else leader, number if trailer is None else trailer
+    stamp = 10**9 + number * 4_000_000 if ticks is None else ticks
+    pixels = bytes([number % 251]) * (rows * cols)
+    parts = [pixels[at : at + transfers.PACKET] for at in range(0, len(pixels), transfers.PACKET)]
+    return (
+        [packets.LEADER.pack(b"U3VL", 0, 52, first, 0, packets.IMAGE, stamp, packets.MONO8, cols, rows, 0, 0, 0, 0)],
+        parts,
+        [packets.TRAILER.pack(b"U3VT", 0, 32, last, 0, 0, rows * cols, rows)],
+    )
+
+
+def spoilt(number: int, fault: str) -> list[bytes | str]:
+    """Packets of a frame with a fault."""
+    leader, payload, trailer = long_frame(number)
+    return {
+        "no leader": [*payload, *trailer],
+        "no payload": [*leader, *trailer],
+        "no trailer": [*leader, *payload],
+        "nothing": [],
+        "a packet lost": [*leader, *payload[1:], *trailer],
+        "leader twice": [*leader, *leader, *payload, *trailer],
+        "leader of another frame": [*long_frame(number, leader=2**63)[0], *payload, *trailer],
+        "trailer of another frame": [*leader, *payload, *long_frame(number, trailer=number - 1)[2]],
+        "garbage": [b"\xa5" * 77, *leader, *payload, *trailer],
+        "no magic": [b"XXXX" + leader[0][4:], *payload, *trailer],
+        "halted": [*leader, payload[0], HALT, *payload[1:], *trailer],
+        "cut by a halt": [*leader, payload[0], HALT],
+        "late": [*leader, payload[0], LATE, *payload[1:], *trailer],
+        "empty packet": [*leader, *payload, b"", *trailer],
+        "time jumps": [*long_frame(number, ticks=2**63)[0], *payload, *trailer],
+    }[fault]
+
+
+FAULTS = [
+    "no leader", "no payload", "no trailer", "nothing", "a packet lost", "leader twice", "leader of another frame",
+    "trailer of another frame", "garbage", "no magic", "halted", "cut by a halt", "late", "empty packet", "time jumps",
+]  # fmt: skip
+SPOILT = st.dictionaries(st.integers(2, 35), st.sampled_from(FAULTS), max_size=20)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SPOILT)
+@example({5: "leader of another frame"})
+@example({5: "no leader", 9: "garbage", 13: "halted", 17: "no trailer"})
+def test_whatever_is_lost_frames_are_their_own_and_those_that_are_missing_are_counted_once(faults) -> None:
+    """Before: a lost leader counted twice, and a wrong number in one as 9e18 lost frames."""
+    sent: list[bytes | str] = []
+    for number in range(48):
+        sent += (
+            spoilt(number, faults[number]) if number in faults else [part for of in long_frame(number) for part in of]
+        )
+    bus = Bus(sent)
+    endless = stream.U3vStream(bus, 0x82, [LONG[0] * LONG[1]], LONG, timeout_s=0.1, wait_for_reader=True)
+    buffer = np.empty(LONG, np.uint8)
+    seen: list[int] = []
+    try:
+        while not seen or seen[-1] < 47:
+            seen.append(endless.read_into(buffer, 5.0).frame_number)
+            assert (buffer == seen[-1] % 251).all()
+    finally:
+        endless.stop()
+    assert seen == sorted(set(seen))
+    assert seen[0] == 0
+    assert sum(endless.dropped.values()) == 48 - len(seen)
+    assert len(seen) >= 48 - 3 * len(faults)

@@ -42,3 +42,12 @@ def test_saturation_is_that_of_the_run_not_of_its_last_frames() -> None:
     for saturated in (0.03, 0.03, 0.0):
         tally.displayed(saturated)
     assert tally.saturated == pytest.approx(0.02)
+
+
+def test_a_cause_that_turns_out_to_have_lost_no_frame_is_not_kept() -> None:
+    """Before: it stayed in the report."""
+    tally = Tally()
+    tally.lost_by_camera({"bad leader": 1}, 0)
+    assert tally.dropped == {"camera: bad leader": 1}
+    tally.lost_by_camera({"bad leader": 0}, 0)
+    assert not tally.dropped

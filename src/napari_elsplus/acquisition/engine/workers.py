@@ -221,8 +221,9 @@ class CameraWorker(Thread):
             self._missing += max(frame_number - self._next_number, 0)
         self._next_number = frame_number + 1
         dropped = self._camera.dropped
-        if self._missing or dropped != self._lost_before:
-            known = {cause: count - self._lost_before.get(cause, 0) for cause, count in dropped.items()}
+        if self._missing or dropped != self._lost_before or self._tally.dropped:
+            before = self._lost_before
+            known = {cause: max(dropped.get(cause, 0) - before.get(cause, 0), 0) for cause in {**before, **dropped}}
             self._tally.lost_by_camera(known, self._missing)
 
 

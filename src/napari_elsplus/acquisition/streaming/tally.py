@@ -119,9 +119,11 @@ class Tally:
         self.skipped("camera: missing numbers", max(0, missing - sum(known.values())))
 
     def skipped(self, cause: str, count: int) -> None:
-        """Set the count of frames lost by a cause."""
-        if count:
+        """Set the count of frames lost by a cause, which may turn out to be none."""
+        if count > 0:
             self.dropped[cause] = count
+        elif cause in self.dropped:
+            del self.dropped[cause]
 
     @property
     def saturated(self) -> float:

@@ -114,6 +114,9 @@ class U3vStream:
         self._fault: Exception | None = None
         self._stopping = threading.Event()
         self._last_block: int | None = None
+        """Number of the last frame whose leader and trailer agree."""
+        self._unsettled: list[str] = []
+        """Causes that were counted after it."""
         self.dropped: Counter[str] = Counter()
         self.received = 0
         self.whole, self.shortest_payload_s = 0, inf
@@ -163,13 +166,12 @@ class U3vStream:
         try:
             leader = parse_leader(packet)
         except PacketError:
-            self.dropped["bad leader"] += 1
+            self._count("bad leader")
             self._resynchronise()
             return
         if leader.payload_type != IMAGE:
             raise DeviceError("the camera sends chunk data behind its images", "switch ChunkModeActive off")
         self.received += 1
-        self._note_gap(leader)
         slot = self._take_slot()
         slot.padding_x, halts = leader.padding_x, self._halts
         begin_s = time.perf_counter()
@@ -180,6 +182,8 @@ class U3vStream:
         trailer = self._read_trailer() if is_whole else None
         arrived_s = time.perf_counter()
         cause = self._why_bad(leader, trailer)
+        if confirmed := trailer is not None and trailer.block_id == leader.block_id:
+            self._settle(leader.block_id)
         if cause is None and self._skip:
             self._skip, cause = self._skip - 1, "invalid after a change"
         if slot is self._spill:
@@ -188,7 +192,7 @@ class U3vStream:
         time_s = leader.timestamp * self._tick_s if self.has_timestamps else leader.block_id * self._period_s
         slot.info = FrameInfo(leader.block_id, arrived_s, time_s)
         if cause is not None:
-            self.dropped[cause] += 1
+            self._count(cause, unsettled=not confirmed)
         if cause is None:
             self._ready.put(slot)
         elif slot is not self._spill:
@@ -234,10 +238,20 @@ class U3vStream:
             return "other format"
         return None
 
-    def _note_gap(self, leader: Leader) -> None:
-        if self._last_block is not None and leader.block_id > self._last_block + 1:
-            self.dropped["gap"] += leader.block_id - self._last_block - 1
-        self._last_block = leader.block_id
+    def _count(self, cause: str, *, unsettled: bool = True) -> None:
+        """Count a frame that was lost by a cause; `unsettled`: its number was not confirmed, it may be no frame."""
+        self.dropped[cause] += 1
+        if unsettled:
+            self._unsettled.append(cause)
+
+    def _settle(self, number: int) -> None:
+        """Count as many frames as are missing before the one of that number, which leader and trailer confirm."""
+        last, self._last_block = self._last_block, number
+        if last is not None and (self._unsettled or number != last + 1):
+            missing = max(number - last - 1, 0)
+            self.dropped -= Counter(self._unsettled[missing:])
+            self.dropped += Counter(gap=max(missing - len(self._unsettled), 0))
+        self._unsettled.clear()
 
     def _take_slot(self) -> _Slot:
         while self._wait and not self._free and not self._stopping.is_set():
@@ -276,7 +290,7 @@ class U3vStream:
                 if error.errno != errno.EPIPE or self._halts >= MAX_HALTS:
                     raise
                 self._halts += 1
-                self.dropped["halted endpoint"] += 1
+                self._count("halted endpoint")
                 self._device.clear_halt(self._endpoint)
                 break
             else:
