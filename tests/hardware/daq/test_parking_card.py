@@ -262,6 +262,22 @@ def test_a_parked_galvo_that_is_reset_from_elsewhere_is_parked_again_and_that_is
         assert any(message.startswith(LASER_OFF) for message in states)
 
 
+@pytest.mark.parametrize("reads_back", [True, False])
+def test_a_held_galvo_that_is_reset_from_elsewhere_is_parked_and_that_is_a_fault(cards, wait_for, reads_back) -> None:
+    """Before: held until the hold limit, 20 s, while the line stood elsewhere."""
+    bench = cards()
+    bench.card.inject(reads_back=reads_back)
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        scanner.hold(0.3)
+        time.sleep(2 * COMPARE_EVERY_S)
+        assert fault_of(scanner) == ""
+        begun_s = bench.card.clock.now_s()
+        bench.card.reset("Dev1")
+        wait_for(lambda: scanner.park_state.parked)
+        assert parked_s(bench.card) - begun_s < SOON_S
+        assert "the held galvo was moved from elsewhere" in fault_of(scanner)
+
+
 def test_a_parked_galvo_is_left_alone_while_another_program_uses_the_input_that_reads_it_back(cards) -> None:
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:

@@ -144,14 +144,14 @@ class Output:
         return measured
 
     def check_still(self, volts: float) -> None:
-        """Raise if the output does not stand any more where it was confirmed to.
+        """Raise if the output does not stand any more where it was put.
 
         An input that another program uses at this time is left to it; the task of the output is checked all the same.
 
         Parameters
         ----------
         volts : float
-            Voltage of the last `confirm`.
+            Voltage of the last `put`.
 
         Raises
         ------
@@ -159,8 +159,9 @@ class Output:
             If the card was reset, is gone, or another program has put out another voltage.
         """
         with self.calls():
-            if self._still is None or not self._still.is_task_done():
+            if self._still is None:
                 raise DeviceError(f"card {self.card.device}: nothing holds the output", "park again")
+            self._still.is_task_done()  # raises where a reset has ended it
         try:
             measured = self.read_back()
         except DeviceError as error:

@@ -319,7 +319,7 @@ class DaqScanner(ClosedOnExit):
 
     def _fault_now(self) -> DeviceError | None:
         try:
-            self._compare_parked()
+            self._compare_still()
             samples = self._output.samples_done() if self._waveform is not None else 0
         except DeviceError as error:
             fault: DeviceError | None = error
@@ -330,10 +330,11 @@ class DaqScanner(ClosedOnExit):
             self._command_parking()
         return fault
 
-    def _compare_parked(self) -> None:
-        """Raise if the parked output is not at the parking voltage any more: not parked, until it is parked again."""
-        now_s = time.perf_counter()
-        if not self._parking.state.parked or now_s < self._compare_s:
+    def _compare_still(self) -> None:
+        """Raise if a line that is parked or held does not stand any more where it was put: it is parked, again."""
+        now_s, stage = time.perf_counter(), self._parking.state.stage
+        still = {ParkStage.PARKED: "parked", ParkStage.DRIVEN: "held"}.get(stage)
+        if still is None or self._waveform is not None or now_s < self._compare_s:
             return
         self._compare_s = now_s + COMPARE_EVERY_S
         try:
@@ -343,7 +344,7 @@ class DaqScanner(ClosedOnExit):
             with contextlib.suppress(DeviceError):  # its tasks may be gone
                 self._output.clear()
             raise DeviceError(
-                f"the parked galvo was moved from elsewhere ({error.problem}), so it was parked again",
+                f"the {still} galvo was moved from elsewhere ({error.problem}), so it was parked",
                 "end other programs that use the card, and check its cable",
             ) from error
 
