@@ -180,6 +180,14 @@ def test_a_guardian_that_is_told_to_end_by_others_than_its_process_stays() -> No
         guardian.dismiss()
 
 
+@pytest.mark.parametrize("cut_off", ["", '{"card": {"park_v": -0.'])
+def test_a_guardian_whose_process_dies_before_it_gave_an_order_ends_in_silence(cut_off: str) -> None:
+    """Before: with a traceback, as after Ctrl-C while a rig was opened."""
+    answers = io.StringIO()
+    guard(io.StringIO(cut_off), answers)
+    assert answers.getvalue() == ""
+
+
 class Broken(io.StringIO):
     """A pipe whose other end is closed."""
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass, field
-from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.hardware.outside import import_driver, open_outside
-from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState, call_each
+from napari_elsplus.hardware.parking import Takeover
 from napari_elsplus.hardware.protocols import Scanner
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from napari_elsplus.hardware.daq.output import CardSettings
+    from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 POLL_S: Final = 0.02
@@ -23,7 +23,7 @@ POLL_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class DriverOrder:
+class DriverOrder(Takeover):
     """Driver and voltage by which another process parks the galvo: a scanner is parked when its constructor returns.
 
     Parameters
@@ -57,39 +57,16 @@ class DriverOrder:
         sys.path.extend(folder for folder in self.search_path if folder not in sys.path)
         import_driver(self.kind)
 
-    def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
-        """Open the scanner anew, which parks, and close it; tried until it is parked, without end.
+    def states(self) -> Iterator[ParkState]:
+        """Open the scanner anew, which parks, and close it.
 
-        Parameters
-        ----------
-        report : callable
-            Called with the state whenever its stage changes; one that fails does not stop parking.
-
-        Returns
-        -------
+        Yields
+        ------
         ParkState
-            The last state.
+            The scanner's, until it is parked.
         """
-        last = ParkState()
-        for attempt in count(1):
-            for state in self._attempt(attempt):
-                if state.stage is not last.stage:
-                    call_each((report,), state)
-                last = state
-            if last.parked:
-                break
-            time.sleep(RETRY_LATER_S)
-        return last
-
-    def _attempt(self, attempt: int) -> Iterator[ParkState]:
-        """Open the scanner, and yield its states until it is parked, or what went wrong, whatever the driver raised."""
-        try:
-            with open_outside(self.kind, Scanner, self.card, self.limits, **self.options) as scanner:
-                state: ParkState = scanner.park_state
-                while not state.parked:
-                    yield state
-                    time.sleep(POLL_S)
-                    state = scanner.park_state
+        with open_outside(self.kind, Scanner, self.card, self.limits, **self.options) as scanner:
+            while not (state := scanner.park_state).parked:
                 yield state
-        except Exception as error:  # noqa: BLE001 - nobody else would park
-            yield ParkState(ParkStage.NOT_PARKED, str(error), attempt)
+                time.sleep(POLL_S)
+            yield state

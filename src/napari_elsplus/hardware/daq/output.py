@@ -215,21 +215,21 @@ class Output:
             return
         from nidaqmx.stream_writers import DigitalSingleChannelWriter
 
-        with self.calls():
-            if self._laser is None:
-                self._laser = self._session.task()
-                self._laser.do_channels.add_do_chan(f"{self.card.device}/{self.card.laser_line}")
-            level = on == self.card.laser_on_high
-            DigitalSingleChannelWriter(self._laser.out_stream, auto_start=True).write_one_sample_one_line(level)
-
-    def laser_off(self) -> None:
-        """Switch the laser's line off."""
         try:
-            self.laser(False)
+            with self.calls():
+                if self._laser is None:
+                    self._laser = self._session.task()
+                    self._laser.do_channels.add_do_chan(f"{self.card.device}/{self.card.laser_line}")
+                level = on == self.card.laser_on_high
+                DigitalSingleChannelWriter(self._laser.out_stream, auto_start=True).write_one_sample_one_line(level)
         except DeviceError:
             self._forget(self._laser)  # the next attempt makes it anew
             self._laser = None
             raise
+
+    def laser_off(self) -> None:
+        """Switch the laser's line off."""
+        self.laser(False)
 
     def reset(self) -> None:
         """Reset the card, which aborts its tasks; its outputs may go to their power-up voltage (0 V, or the last)."""
@@ -247,19 +247,13 @@ class Output:
             for task in tasks:
                 each.callback(task.close)  # the last one first
 
-    def close(self) -> None:
-        """Delete every task, and close the channel to a card elsewhere before its server ends."""
-        try:
-            self._forget(self._laser)
-            self._laser = None
-            self.clear()
-        finally:
-            self._session.close()
-
     def release(self) -> None:
-        """Close, whatever errors that raises: for a card that is gone, or about to be."""
+        """Delete every task, and close the channel to a card elsewhere, whatever errors a card raises that is gone."""
+        self._forget(self._laser)
+        self._laser = None
         with contextlib.suppress(DeviceError):
-            self.close()
+            self.clear()
+        self._session.close()
 
     def read_back(self) -> float | None:
         """Measure the output in volts by the card's internal channel; None where it has none."""

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Final
 from napari_elsplus.hardware.daq.errors import translate_daq_errors
 from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.daq.session import open_session
-from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState, call_each
+from napari_elsplus.hardware.parking import Parking, Takeover
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
     from napari_elsplus.hardware.daq.scanner import DaqScanner
+    from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 VIRTUAL_LIFE_S: Final = 5.0
@@ -22,7 +23,7 @@ VIRTUAL_LIFE_S: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class CardOrder:
+class CardOrder(Takeover):
     """Card and voltage by which another process parks the galvo.
 
     Parameters
@@ -59,31 +60,22 @@ class CardOrder:
         with translate_daq_errors(self.card.device):
             _ = session.system().driver_version
 
-    def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
+    def states(self) -> Iterator[ParkState]:
         """Take the output over and park: a card goes on regenerating its waveform after its program died.
 
         Tried until the card confirms, without end; on a virtual card until it has ended.
 
-        Parameters
-        ----------
-        report : callable
-            Called with the state whenever its stage changes; one that fails does not stop parking.
-
-        Returns
-        -------
+        Yields
+        ------
         ParkState
-            The last state.
+            After each attempt.
         """
         output = Output(self.card, self.limits)
         parking, begun_s = Parking(output, self.card.park_v), time.monotonic()
-        stage = ParkStage.UNKNOWN
-        while True:
-            state = parking.attempt()
-            if state.stage is not stage:
-                stage = state.stage
-                call_each((report,), state)
-            if state.parked or (self.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S):
+        while not (state := parking.attempt()).parked:
+            yield state
+            if self.virtual and time.monotonic() - begun_s > VIRTUAL_LIFE_S:
                 break
             time.sleep(state.retry_s)
         output.release()
-        return state
+        yield state

@@ -14,7 +14,6 @@ import json
 import os
 import signal
 import sys
-import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from queue import Empty, SimpleQueue
@@ -24,15 +23,16 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.driver_takeover import DriverOrder
-from napari_elsplus.hardware.parking import RETRY_LATER_S, ParkStage, ParkState, call_each
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TextIO
 
+    from napari_elsplus.hardware.parking import ParkState
+
 ParkOrder: TypeAlias = CardOrder | DriverOrder
-"""Instruction by which another process parks: by the card, or by a driver outside this package."""
+"""Order by which another process parks: by the card, or by a driver outside this package."""
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
@@ -66,7 +66,10 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
     """
     lines: SimpleQueue[str] = SimpleQueue()
     Thread(target=_read, args=(orders, lines), name="orders", daemon=True).start()
-    order = _read_order(lines.get())
+    first = lines.get()
+    if not first.endswith("\n"):  # the process ended before it had given an order: it has moved nothing
+        return
+    order = _read_order(first)
     order.preload()
     _answer(answers, READY)
     while (line := _next(lines)).endswith("\n"):  # one that was cut off was never given
@@ -76,14 +79,7 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
             _answer(answers, HEARTBEAT)
         else:
             order = _read_order(line)
-    while True:
-        try:
-            order.take_over(report)
-        except Exception as error:  # noqa: BLE001 - a defect, or no memory: nobody else would park
-            call_each((report,), ParkState(ParkStage.NOT_PARKED, f"{type(error).__name__}: {error}"))
-            time.sleep(RETRY_LATER_S)
-        else:
-            return
+    order.take_over(report)
 
 
 def _answer(answers: TextIO, message: str) -> None:
