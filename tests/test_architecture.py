@@ -60,7 +60,7 @@ ORDER = (
     "hardware.daq",
     "hardware.detached",
     "hardware.outside",
-    "hardware.driver_takeover",
+    "hardware.takeover",
     "hardware.guardian",
     "hardware.virtual.timeline",
     "hardware.virtual.galvo",

@@ -15,8 +15,8 @@ from pathlib import Path
 from napari_elsplus.acquisition.link.server import run
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian.supervision import guard_scanner
+from napari_elsplus.hardware.takeover import ParkOrder
 from napari_elsplus.io import RecordingWriter
 
 small = runpy.run_path(str(Path(__file__).parents[1] / "small_rig.py"))  # which imports no pytest
@@ -27,9 +27,10 @@ def open_rig(name: str) -> object:
         raise small["DeviceError"](f"there is no rig {name!r}", "choose small")
     rig = small["SmallRig"]()
     if len(sys.argv) > 2:
-        rig.scanner = DaqScanner(CardSettings(small["PARK_V"], address=sys.argv[2]), rig.limits)
+        card = CardSettings(small["PARK_V"], address=sys.argv[2])
+        rig.scanner = DaqScanner(card, rig.limits)
         held = ExitStack()
-        rig.guardian = guard_scanner(rig.scanner, CardOrder.of(rig.scanner), held, rig.scanner.interrupt)
+        rig.guardian = guard_scanner(rig.scanner, ParkOrder(card, rig.limits), held)
         close, rig.close = rig.close, lambda: (held.close(), close())
         return rig
 

@@ -15,11 +15,11 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import DeviceError, ElsPlusError, InputError
 from napari_elsplus.hardware.daq.output import CardSettings
-from napari_elsplus.hardware.driver_takeover import DriverOrder
 from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.hardware.protocols import Camera, Region, Scanner
 from napari_elsplus.hardware.rigs import open_rig, rig_names
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
+from napari_elsplus.hardware.takeover import ParkOrder
 from napari_elsplus.instrument.optics import PRESETS
 
 pytestmark = pytest.mark.checkout
@@ -112,7 +112,7 @@ def test_a_guardian_goes_on_after_an_error_of_a_driver_of_ones_own(frames, tmp_p
     monkeypatch.syspath_prepend(str(tmp_path))
     unread = tmp_path / "place.unread"
     unread.touch()
-    order = DriverOrder("mine:LineScanner", CardSettings(-0.7), GalvoLimits(), {"place": str(tmp_path / "place")})
+    order = ParkOrder(CardSettings(-0.7), GalvoLimits(), "mine:LineScanner", {"place": str(tmp_path / "place")})
     stages = []
 
     def report(state: ParkState) -> None:

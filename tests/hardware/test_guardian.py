@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -18,14 +19,15 @@ import pytest
 
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.daq import takeover as takeover_module
-from napari_elsplus.hardware.daq.output import CardSettings, Output
-from napari_elsplus.hardware.daq.takeover import CardOrder
+from napari_elsplus.hardware import takeover as takeover_module
+from napari_elsplus.hardware.daq.output import CardSettings
+from napari_elsplus.hardware.daq.scanner import DaqScanner
 from napari_elsplus.hardware.guardian import supervision as guardian_module
 from napari_elsplus.hardware.guardian.process import STANDSTILL_S, guard
 from napari_elsplus.hardware.guardian.supervision import COMMAND, SILENT_S, Guardian
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
+from napari_elsplus.hardware.takeover import ParkOrder
 from napari_elsplus.hardware.virtual.bench import Simulation
 from napari_elsplus.hardware.virtual.card.card import VirtualCard
 from napari_elsplus.hardware.virtual.card.grpc_server import CardServer
@@ -34,6 +36,7 @@ from napari_elsplus.instrument.optics import PRESETS
 from napari_elsplus.simulation.model.instrument import Instrument
 from napari_elsplus.simulation.specimen.scenes import empty
 from napari_elsplus.simulation.truth import park_volts
+from ni_library import replacing_ni_library
 
 PRESET = PRESETS["240hz"]
 PARK_V = park_volts(Instrument.of(PRESET.name))
@@ -60,8 +63,8 @@ DRIVE = """
 """
 
 
-def order_for(address: str, park_v: float = -0.7) -> CardOrder:
-    return CardOrder(CardSettings(park_v, address=address), GalvoLimits(min_v=-2.0, max_v=2.0))
+def order_for(address: str, park_v: float = -0.7) -> ParkOrder:
+    return ParkOrder(CardSettings(park_v, address=address), GalvoLimits(min_v=-2.0, max_v=2.0))
 
 
 def seconds_until(condition: Callable[[], bool], within_s: float = 5.0) -> float:
@@ -341,18 +344,31 @@ def test_a_guardian_that_the_system_cannot_end_does_not_hold_up_its_replacement(
         os.kill(first, signal.SIGKILL)
 
 
+def test_a_guardian_goes_around_a_call_to_the_card_that_does_not_return() -> None:
+    """Before: it waited without end, and the line stood on the bundle."""
+    card = VirtualCard()
+    with replacing_ni_library(card):
+        order = json.dumps(asdict(order_for("")))
+        card.inject(hangs=True)
+        thread = threading.Thread(target=guard, args=(io.StringIO(order + "\n"), io.StringIO()), daemon=True)
+        thread.start()
+        thread.join(10)
+        assert not thread.is_alive()
+    assert card.last_volts == -0.7
+
+
 def test_an_order_that_fails_is_carried_out_again(monkeypatch) -> None:
     """Before: a guardian without memory for the first call ended, and nobody parked."""
     card = VirtualCard()
     opened = []
 
-    def open_without_memory(*arguments: object) -> Output:
+    def open_without_memory(*arguments: object, **options: object) -> DaqScanner:
         opened.append(arguments)
         if len(opened) < 3:
             raise MemoryError
-        return Output(*arguments)
+        return DaqScanner(*arguments, **options)
 
-    monkeypatch.setattr(takeover_module, "Output", open_without_memory)
+    monkeypatch.setattr(takeover_module, "DaqScanner", open_without_memory)
     told: list[str] = []
     with CardServer(card) as server:
         order = json.dumps(asdict(order_for(server.address)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -28,15 +29,16 @@ from nidaqmx import Task
 
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware import parking as parking_module
+from napari_elsplus.hardware import takeover as takeover_module
 from napari_elsplus.hardware.daq import calls as calls_module
 from napari_elsplus.hardware.daq import scanner as scanner_module
-from napari_elsplus.hardware.daq import takeover as takeover_module
+from napari_elsplus.hardware.daq.calls import STUCK_S
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.parking import Parking
 from napari_elsplus.hardware.scan.timing import ScanTiming
 from napari_elsplus.hardware.scan.waveform import GalvoLimits, els_waveform
+from napari_elsplus.hardware.takeover import ParkOrder
 from napari_elsplus.hardware.virtual.card import card as card_module
 from napari_elsplus.hardware.virtual.card.card import CardError, VirtualCard
 from napari_elsplus.hardware.virtual.timeline import StrobeTrain
@@ -82,8 +84,7 @@ class Scanning(RuleBasedStateMachine):
                 if hasattr(module, name):
                     self.held.enter_context(patch.object(module, name, stand_in))
         parking = partial(Parking, now_s=self.world.perf_counter)
-        for module in (scanner_module, takeover_module):
-            self.held.enter_context(patch.object(module, "Parking", parking))
+        self.held.enter_context(patch.object(scanner_module, "Parking", parking))
         quiet = SimpleNamespace(register=lambda _: None, unregister=lambda _: None)
         self.held.enter_context(patch.object(scanner_module, "atexit", quiet))
         self.card = VirtualCard(SimulatedBenchClock(self.world))
@@ -201,16 +202,17 @@ class Scanning(RuleBasedStateMachine):
             self.card._resets.notify_all()
 
     @precondition(lambda self: not self.closed)
-    @rule()
-    def die(self) -> None:
-        """The process is killed; its guardian parks, and another is started."""
-        order = CardOrder.of(self.scanner)
+    @rule(hangs=st.booleans())
+    def die(self, hangs: bool) -> None:
+        """The process is killed; its guardian parks, around a call that does not return, and another is started."""
+        order = ParkOrder(replace(self.scanner.card, park_v=self.scanner.park_v), self.scanner.limits)
         self.world.kill(*(w for w in self.world.workers if w is not self.world.main))
         self.heal()
+        self.card.inject(hangs=hangs)
         begun_s = self.world.now_s
         state = order.take_over()
         assert state.parked
-        assert self.world.now_s - begun_s <= PARKED_S
+        assert self.world.now_s - begun_s <= PARKED_S + hangs * STUCK_S
         assert self.output_is_parked(order.card.park_v)
         self.open()
 

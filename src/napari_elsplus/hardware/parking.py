@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 from napari_elsplus.errors import DeviceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable
 
 _log = logging.getLogger(__name__)
 News = TypeVar("News")
@@ -187,10 +187,13 @@ class Parking:
         """Enter ``NOT_PARKED`` with a problem found while it was ``PARKED``."""
         self._change(lambda state: ParkState(ParkStage.NOT_PARKED, problem) if state.parked else None)
 
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until the galvo is parked; return False if it is not within `timeout_s`."""
+    def wait(self, timeout_s: float) -> ParkState:
+        """Wait until the galvo is parked; return the state, ``NOT_PARKED`` if it is not within `timeout_s`."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._state.parked, timeout_s)
+            if self._changed.wait_for(lambda: self._state.parked, timeout_s):
+                return self._state
+        self.alarm("the card has not confirmed it")
+        return self._state
 
     def attempt(self, *, stuck: bool = False) -> ParkState:
         """Try once to park; return the state, ``PARKED`` or ``NOT_PARKED``. Never raises, whatever the output does.
@@ -250,44 +253,6 @@ class Parking:
             subscribers = tuple(self._subscribers)
             self._changed.notify_all()
         call_each(subscribers, state)
-
-
-class Takeover:
-    """Base of the orders by which another process parks, after the one that drove the galvo has died."""
-
-    def states(self) -> Iterator[ParkState]:
-        """Park, and yield the states until the last."""
-        raise NotImplementedError
-
-    def take_over(self, report: Callable[[ParkState], None] = lambda _: None) -> ParkState:
-        """Take the galvo over and park it; tried without end, whatever goes wrong, since nobody else would.
-
-        Parameters
-        ----------
-        report : callable
-            Called with the state whenever its stage changes; one that fails does not stop parking.
-
-        Returns
-        -------
-        ParkState
-            The last state.
-        """
-        last = ParkState()
-        for state in self._retried():
-            if state.stage is not last.stage:
-                call_each((report,), state)
-            last = state
-        return last
-
-    def _retried(self) -> Iterator[ParkState]:
-        while True:
-            try:
-                yield from self.states()
-            except Exception as error:  # noqa: BLE001 - a driver's defect, or no memory
-                yield ParkState(ParkStage.NOT_PARKED, _problem(error))
-                time.sleep(RETRY_LATER_S)
-            else:
-                return
 
 
 def _problem(error: Exception) -> str:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from napari_elsplus.closing import unwound_by_signals
-from napari_elsplus.errors import DeviceError, InputError
-from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.daq.takeover import CardOrder
-from napari_elsplus.hardware.driver_takeover import DriverOrder
+from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.drivers import open_camera, open_scanner
 from napari_elsplus.hardware.guardian.supervision import guard_scanner
 from napari_elsplus.hardware.protocols import CountsFrames
 from napari_elsplus.hardware.rig import SIMULATED, SIMULATED_REAL, Rig
 from napari_elsplus.hardware.rig_files import RigSettings, SimulatedRigSettings, rig_files, rig_settings
+from napari_elsplus.hardware.takeover import ParkOrder
 
 if TYPE_CHECKING:
-    from napari_elsplus.hardware.protocols import Scanner
     from napari_elsplus.hardware.virtual.bench import Simulation
 
 
@@ -89,15 +85,6 @@ def _real_rig(name: str, settings: RigSettings, held: ExitStack) -> Rig:
     limits = settings.mirror
     camera = held.enter_context(open_camera(settings.camera))
     scanner = held.enter_context(open_scanner(settings))  # last in, first out: the galvo parks first
-    if isinstance(scanner, DaqScanner):
-        guardian = guard_scanner(scanner, CardOrder.of(scanner), held, scanner.interrupt)
-    else:
-        card = replace(settings.card, park_v=scanner.park_v)
-        order = DriverOrder(settings.scanner.kind, card, limits, settings.scanner.options, tuple(sys.path))
-        guardian = guard_scanner(scanner, order, held, partial(_park, scanner))
+    order = ParkOrder(settings.card, limits, settings.scanner.kind, settings.scanner.options, tuple(sys.path))
+    guardian = guard_scanner(scanner, order, held)
     return Rig(name, camera, scanner, limits, settings.camera.strobe, guardian)
-
-
-def _park(scanner: Scanner, _: DeviceError) -> None:
-    with suppress(DeviceError):  # `park_state` shows it, and the scanner tries again
-        scanner.park()

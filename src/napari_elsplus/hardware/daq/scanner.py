@@ -67,6 +67,8 @@ class DaqScanner(ClosedOnExit):
         Limits of the output.
     now_s : callable
         Clock by which strobes are awaited and holds are timed.
+    takes_over : bool
+        Park whoever has the card, by resets and without end; it returns at once, see `park_state`.
 
     Raises
     ------
@@ -76,7 +78,14 @@ class DaqScanner(ClosedOnExit):
         If the driver is missing, the card is unknown, in use or gone.
     """
 
-    def __init__(self, card: CardSettings, limits: GalvoLimits, now_s: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self,
+        card: CardSettings,
+        limits: GalvoLimits,
+        now_s: Callable[[], float] = time.perf_counter,
+        *,
+        takes_over: bool = False,
+    ) -> None:
         limits.check(card.park_v, "the parking position")
         self.card, self.limits = card, limits
         self._output, self._now_s = Output(card, limits), now_s
@@ -98,9 +107,12 @@ class DaqScanner(ClosedOnExit):
         self._closing = False
         self._compare_s = 0.0
         self._card = CardThread(self._output.calls, self._turn, self._output.release, self._go_around)
+        if takes_over:
+            self._command_parking()
         self._card.start()
         try:
-            self._card.execute(self._first_attempt)
+            if not takes_over:
+                self._card.execute(self._first_attempt)
         except BaseException:
             self._closing = True
             self._card.wake()
@@ -132,7 +144,7 @@ class DaqScanner(ClosedOnExit):
         self._frames = received
 
     def park_at(self, volts: float) -> None:
-        """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
+        """Set the parking voltage."""
         self.limits.check(volts, "the parking position")
         self._refuse_if_closed()
         changed = volts != self._parking.volts
@@ -153,18 +165,14 @@ class DaqScanner(ClosedOnExit):
 
     def check(self) -> None:
         """Raise what has gone wrong since the last `hold` or `scan`."""
-        fault = self._fault
-        if fault is not None:
+        if (fault := self._fault) is not None:
             raise fault
 
     def park(self) -> None:
         """Stop the scan and take the line off the bundle; returns once the card has confirmed it."""
         self._command_parking()
-        if not self._parking.wait(PARK_TIMEOUT_S):
-            self._parking.alarm("the card has not confirmed it")
-            state = self._parking.state
-            if not state.parked:
-                raise DeviceError(state.message, "free the card, and check its cable")
+        if not (state := self._parking.wait(PARK_TIMEOUT_S)).parked:
+            raise DeviceError(state.message, "free the card, and check its cable")
 
     def try_reset(self) -> ResetResult:
         """Reset the card, and park; return what the reset did to the output. The laser has to be off.
@@ -192,9 +200,7 @@ class DaqScanner(ClosedOnExit):
         fails = self._parking.state.stage is ParkStage.NOT_PARKED
         self._command_parking()
         self._closing = True
-        if not self._parking.wait(FAILING_TIMEOUT_S if fails else PARK_TIMEOUT_S):
-            self._parking.alarm("the card has not confirmed it")  # parking goes on
-        if self._parking.state.parked:
+        if self._parking.wait(FAILING_TIMEOUT_S if fails else PARK_TIMEOUT_S).parked:  # else parking goes on
             self._card.join(max(0.0, begun_s + CLOSE_TIMEOUT_S - time.perf_counter()))
         atexit.unregister(self.close)
 

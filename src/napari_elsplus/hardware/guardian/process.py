@@ -18,21 +18,15 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
-from napari_elsplus.hardware.daq.output import CardSettings
-from napari_elsplus.hardware.daq.takeover import CardOrder
-from napari_elsplus.hardware.driver_takeover import DriverOrder
-from napari_elsplus.hardware.scan.waveform import GalvoLimits
+from napari_elsplus.hardware.takeover import ParkOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TextIO
 
     from napari_elsplus.hardware.parking import ParkState
-
-ParkOrder: TypeAlias = CardOrder | DriverOrder
-"""Order by which another process parks: by the card, or by a driver outside this package."""
 
 READY: Final = "ready"
 FAREWELL: Final = "farewell"
@@ -69,7 +63,7 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
     first = lines.get()
     if not first.endswith("\n"):  # the process ended before it had given an order: it has moved nothing
         return
-    order = _read_order(first)
+    order = ParkOrder.of(json.loads(first))
     order.preload()
     _answer(answers, READY)
     while (line := _next(lines)).endswith("\n"):  # one that was cut off was never given
@@ -78,7 +72,7 @@ def guard(orders: TextIO, answers: TextIO, report: Callable[[ParkState], None] =
         if line.strip() == HEARTBEAT:
             _answer(answers, HEARTBEAT)
         else:
-            order = _read_order(line)
+            order = ParkOrder.of(json.loads(line))
     order.take_over(report)
 
 
@@ -104,16 +98,11 @@ def _next(lines: SimpleQueue[str]) -> str:
     return ""
 
 
-def _read_order(line: str) -> ParkOrder:
-    fields = json.loads(line)
-    fields |= {"card": CardSettings(**fields["card"]), "limits": GalvoLimits(**fields["limits"])}
-    return DriverOrder(**fields) if "kind" in fields else CardOrder(**fields)
-
-
 def _print_to_terminal(state: ParkState) -> None:
-    with suppress(OSError):  # there may be no terminal any more
-        sys.stderr.write(f"{state.message or 'the galvo was parked by its guardian'}\n")
-        sys.stderr.flush()
+    if text := state.message or ("the galvo was parked by its guardian" if state.parked else ""):
+        with suppress(OSError):  # there may be no terminal any more
+            sys.stderr.write(f"{text}\n")
+            sys.stderr.flush()
 
 
 def main() -> int:

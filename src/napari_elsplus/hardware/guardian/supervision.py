@@ -13,6 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import partial
 from typing import IO, TYPE_CHECKING, Any, Final, Self, cast
 
 from napari_elsplus.errors import DeviceError
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import ExitStack
 
-    from napari_elsplus.hardware.guardian.process import ParkOrder
     from napari_elsplus.hardware.parking import ParkState
     from napari_elsplus.hardware.protocols import Scanner
+    from napari_elsplus.hardware.takeover import ParkOrder
 
 COMMAND: Final = (sys.executable, "-m", "napari_elsplus.hardware.guardian.process")
 POLL_S: Final = 0.05
@@ -303,28 +304,29 @@ class Guardian:
         return report
 
 
-def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack, lost: Callable[[DeviceError], None]) -> Guardian:
+def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack) -> Guardian:
     """Start the guardian of a scanner, which is dismissed when `held` is closed and the galvo is parked.
 
     Parameters
     ----------
     scanner : Scanner
         Open; closed before its guardian is dismissed.
-    order : CardOrder or DriverOrder
-        Action of the guardian if this process dies.
+    order : ParkOrder
+        Action of the guardian if this process dies, at the voltage at which the scanner parks.
     held : contextlib.ExitStack
         Closed with the rig.
-    lost : callable
-        Called with a `DeviceError` while nothing is on guard; has to park.
 
     Raises
     ------
     DeviceError
         If the guardian does not start.
     """
-    guardian = Guardian(order, lost)
+    order = replace(order, card=replace(order.card, park_v=scanner.park_v))
     if isinstance(scanner, DaqScanner):
+        guardian = Guardian(order, scanner.interrupt)
         scanner.check_guarded = guardian.check
+    else:
+        guardian = Guardian(order, partial(_park, scanner))
     scanner.on_park_state(lambda _: guardian.revise(scanner.park_v))
 
     def end() -> None:
@@ -337,6 +339,11 @@ def guard_scanner(scanner: Scanner, order: ParkOrder, held: ExitStack, lost: Cal
 
     held.callback(end)
     return guardian
+
+
+def _park(scanner: Scanner, _: DeviceError) -> None:
+    with suppress(DeviceError):  # `park_state` shows it, and the scanner tries again
+        scanner.park()
 
 
 def when_parked(scanner: Scanner, act: Callable[[], object]) -> None:

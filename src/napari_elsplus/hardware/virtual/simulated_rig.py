@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.daq.output import CardSettings
 from napari_elsplus.hardware.daq.scanner import DaqScanner
-from napari_elsplus.hardware.daq.takeover import CardOrder
 from napari_elsplus.hardware.guardian.supervision import guard_scanner, when_parked
 from napari_elsplus.hardware.rig import Rig, VirtualBench
 from napari_elsplus.hardware.scan.timing import StrobePhase
+from napari_elsplus.hardware.takeover import ParkOrder
 from napari_elsplus.hardware.u3v.camera import U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
 from napari_elsplus.hardware.u3v.flea3 import Flea3
@@ -67,9 +67,7 @@ def simulated_rig(name: str, simulation: Simulation, held: ExitStack) -> Rig:
     scanner = DaqScanner(settings, limits, now_s=clock.now_s)
     opened.append(held.enter_context(scanner))
     guardian = (
-        guard_scanner(scanner, CardOrder.of(scanner, virtual=True), held, scanner.interrupt)
-        if simulation.own_process
-        else None
+        guard_scanner(scanner, ParkOrder(settings, limits, virtual=True), held) if simulation.own_process else None
     )
     bench = VirtualBench(optics, card, plug)
     return Rig(name, camera, scanner, limits, StrobePhase.EXPOSURE, guardian, bench)
