@@ -144,7 +144,7 @@ class DaqScanner(ClosedOnExit):
         self._frames = received
 
     def park_at(self, volts: float) -> None:
-        """Set the parking voltage."""
+        """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
         self._refuse_if_closed()
         changed = volts != self._parking.volts
