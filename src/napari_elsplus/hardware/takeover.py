@@ -107,7 +107,7 @@ class ParkOrder:
                     yield state
                     time.sleep(POLL_S)
                 yield state
-            if state.parked and not scanner.park_state.parked:
+            if scanner.park_state.stage is ParkStage.NOT_PARKED:  # closing parks once more
                 yield scanner.park_state
         except Exception as error:  # noqa: BLE001 - a defect, or no memory: nobody else would park
             yield ParkState(ParkStage.NOT_PARKED, f"{type(error).__name__}: {error}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from napari_elsplus.errors import DeviceError
@@ -17,8 +18,6 @@ SILENCE_S: Final = 0.3
 """Seconds; chosen: with a check, a stop and a write it leaves the galvo parked within 0.5 s."""
 NO_FRAMES_S: Final = 1.0
 """Seconds; chosen: above the stalls of a busy computer, since the line sweeps meanwhile and does not stand."""
-AWAITED_S: Final = 3.0
-"""Seconds in which a scan's first ramp has to begin: the line stands meanwhile; chosen: above a late camera's start."""
 LOW_RATE_PERIODS: Final = 1.5
 """Frame periods that have to pass at rates so low that they are longer than `SILENCE_S`."""
 MAX_STEP_S: Final = 0.05
@@ -49,15 +48,15 @@ class Interlock:
     def __init__(self, card: CardSettings) -> None:
         self._card = card
         self._waveform: Waveform | None = None
-        self._held = False
+        self._held_since_s = inf
 
     def rest(self) -> None:
         """Expect nothing: the galvo is parked."""
-        self._waveform, self._held = None, False
+        self._waveform, self._held_since_s = None, inf
 
     def hold(self, now_s: float) -> None:
         """Expect the next command within the hold limit from `now_s` on."""
-        self._waveform, self._held, self._since_s = None, True, now_s
+        self._waveform, self._held_since_s = None, now_s
 
     def scan(self, waveform: Waveform, now_s: float, frames: int | None) -> None:
         """Expect ramps and frames at the rate of a waveform.
@@ -71,11 +70,11 @@ class Interlock:
         frames : int, optional
             Frames received so far; None: they are not counted.
         """
-        self._waveform, self._held, self._since_s = waveform, True, now_s
+        self._waveform, self._held_since_s = waveform, now_s
         self._samples, self._samples_s = 0, now_s
         self._frames, self._checked_s = frames, now_s
         self._frames_came = False
-        self._no_frames_s = self._no_ramps_s = self._awaited_s = 0.0
+        self._no_frames_s = self._no_ramps_s = 0.0
 
     def fault(self, now_s: float, samples: int, frames: int | None) -> DeviceError | None:
         """Return the fault that stops the galvo, None if there is none.
@@ -103,12 +102,6 @@ class Interlock:
             self._no_ramps_s += step_s if self._frames_came else 0.0
             if self._no_ramps_s > limit_s and came:
                 return self._never_wired()
-            self._awaited_s += step_s
-            if self._awaited_s > AWAITED_S:
-                return DeviceError(
-                    f"no ramp began within {AWAITED_S:g} s of the scan's start, so the galvo was parked",
-                    f"start the camera, and check that its strobe reaches {self._card.strobe}",
-                )
             return self._held_too_long(now_s)
         late_s = now_s - self._samples_s
         if late_s > limit_s:
@@ -134,7 +127,7 @@ class Interlock:
 
     def _held_too_long(self, now_s: float) -> DeviceError | None:
         limit_s = self._card.hold_limit_s
-        if not self._held or now_s - self._since_s <= limit_s:
+        if now_s - self._held_since_s <= limit_s:
             return None
         return DeviceError(
             f"the line stood on one place for {limit_s:g} s, so the galvo was parked",
