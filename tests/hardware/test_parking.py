@@ -172,6 +172,18 @@ def test_a_reset_that_fails_is_not_counted_as_one() -> None:
     assert state.resets <= 1
 
 
+def test_a_galvo_that_is_to_park_elsewhere_is_not_parked_until_it_is_there() -> None:
+    """Before: parked at the new voltage before it had moved."""
+    output = SimulatedOutput()
+    parking = Parking(output, PARK_V, output.clock)
+    assert parking.attempt().parked
+    parking.retarget(PARK_V)
+    assert parking.state.parked
+    parking.retarget(PARK_V - 0.2)
+    assert parking.state.stage is ParkStage.PARKING
+    assert parking.attempt().read_back_v == PARK_V - 0.2
+
+
 def test_it_is_retried_without_end_and_parked_soon_after_the_card_accepts_again() -> None:
     output = SimulatedOutput(refuses_until_s=300.0)
     parking = Parking(output, PARK_V, output.clock)
@@ -230,7 +242,7 @@ def test_a_state_is_tested_and_entered_in_one_step(command) -> None:
         held.wait()
         time.sleep(0.05)
         parking._state = ParkState(ParkStage.DRIVEN if command == "revoke" else ParkStage.PARKED)
-        expected = parking.state.stage if command != "begin" else ParkStage.PARKING
+        expected = ParkStage.PARKING if command in ("begin", "retarget") else parking.state.stage
     other.join()
     assert parking.state.stage is expected
 

@@ -165,9 +165,10 @@ class Parking:
         return end
 
     def retarget(self, volts: float) -> None:
-        """Set the parking voltage of later attempts, in volts; subscribers are called with the state as it is."""
+        """Set the parking voltage of later attempts, in volts; a galvo that is parked elsewhere is parked no more."""
+        moves = volts != self.volts
         self.volts = volts
-        self._change(lambda state: state)
+        self._change(lambda state: ParkState(ParkStage.PARKING) if moves and state.parked else state)
 
     def begin(self, stage: ParkStage) -> None:
         """Enter a stage: ``DRIVEN`` before a hold or scan, ``PARKING`` when parking is commanded."""
