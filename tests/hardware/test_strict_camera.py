@@ -252,10 +252,13 @@ def test_a_halted_stream_is_cleared_and_goes_on(cameras) -> None:
     bench = cameras()
     with bench.open() as camera:
         stream(camera, 3)
+        before = read_frames(camera, 1)[0].frame_number
         bench.plug.camera.faults.halt_stream = 1
         infos = read_frames(camera, 20)
-        assert camera.dropped["halted endpoint"] == 1
-        assert infos[-1].frame_number - infos[0].frame_number <= 21  # one frame was lost
+        assert not bench.plug.camera.faults.halt_stream
+        missing = infos[-1].frame_number - before - len(infos)
+        assert missing <= 1  # none where it halted between two frames
+        assert camera.dropped.get("halted endpoint", 0) == missing
 
 
 def test_a_stream_that_stays_halted_ends_and_is_not_called_unplugged(cameras) -> None:
