@@ -115,7 +115,7 @@ MISTAKES: Final = tuple(
             ("self._device.clear_halt(self._endpoint)", "pass"),
             ("if self.padding_x:", "if False:"),
             ("if cause is None and self._skip:", "if False:"),
-            ("leader.block_id - self._last_block - 1", "1"),
+            ("missing = max(number - last - 1, 0)", "missing = 0"),
             ("or trailer.status:", "or False:"),
             ("leader.block_id * self._period_s", "0.0"),
         ),
@@ -205,7 +205,7 @@ MISTAKES: Final = tuple(
         ),
         "daq/interlock": (
             ("if late_s > limit_s:", "if late_s > 100 * limit_s:"),
-            ("if not self._held or now_s - self._since_s <= limit_s:", "if True:"),
+            ("if now_s - self._held_since_s <= limit_s:", "if True:"),
         ),
         "scan/waveform": (
             (
@@ -229,7 +229,7 @@ MISTAKES: Final = tuple(
             ),
         ),
         "parking": (
-            ("problems = [self._try(self.output.laser_off)]", 'problems = [""]'),
+            ('laser, problem = "" if stuck else self._try(self.output.laser_off), ""', 'laser, problem = "", ""'),
             ("read_back_v = self.output.confirm(volts)", "read_back_v = None"),
             ("RESET_AFTER: Final = 2", "RESET_AFTER: Final = 2000"),
         ),
