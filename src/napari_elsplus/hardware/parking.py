@@ -97,7 +97,7 @@ class ParkState:
         """Instruction while the galvo is not parked, or the laser on; else how long a reset may have lit the bundle."""
         if self.stage is ParkStage.NOT_PARKED:
             return f"{LASER_OFF} ({self.problem}; parking is retried)"
-        if self.problem:
+        if self.parked and self.problem:
             return f"parked, but the laser's line was not switched off ({self.problem})"
         if self.resets:
             return f"the card was reset {self.resets} times: up to {self.reset_s * 1e3:.0f} ms at its power-up voltage"
