@@ -23,6 +23,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
+from napari_elsplus.processing.tracking.standing_pattern import stands_still, without_standing_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -220,33 +221,39 @@ class RegistrationTracking(FrontEndImages):
 
         Unchanged where shifts alone are registered, without odds by which a graph could weigh them.
         """
-        tracker, registrar, model = self._tracker, self._tracker.registrar, self._tracker.model
+        tracker, registrar, lost = self._tracker, self._tracker.registrar, self._tracker.lost
         if not registrar.registers_warps:
             return poses
-        frame = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES)
 
-        def again(registrar: Registrar, turn_rate: float | None) -> tuple[list[Pose], list[TrackedPair]]:
+        def again(
+            registrar: Registrar, turn_rate: float | None, image: Callable[[int], NDArray[np.float32]]
+        ) -> tuple[list[Pose], Tracker]:
             """Track all frames once more."""
             once_more = Tracker(registrar, turn_rate)
             tracked = []
             for index in range(len(poses)):
-                once_more.skip(tracker.lost.get(index, 0))
+                once_more.skip(lost.get(index, 0))
                 once_more.slot()[:] = image(index)
                 tracked.append(once_more.add())
-            return completed(tracked, once_more, image)
+            return tracked, once_more
 
+        without = without_standing_pattern(image, registrar, len(poses))
+        if without is not None:
+            found, other = again(registrar, None, without)
+            if stands_still((tracker.links, image), (other.links, without), registrar, len(poses)):
+                poses, tracker, image = found, other, without
+        frame, model = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES), tracker.model
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(tracker.links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
             rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
-            turned, links = again(registrar, next(rates, 0.0))
-            if probe_turns(turned, links, registrar.grid.shutter, tracker.lost):
-                return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model, tracker.lost)
-        if tracker.model is MotionModel.TRANSLATION:
-            poses, links = completed(poses, tracker, image)
-        else:
-            poses, links = again(_WithoutRotation(registrar.grid), None)
-        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), lost=tracker.lost)
+            turned, links = completed(*again(registrar, next(rates, 0.0), image), image)
+            if probe_turns(turned, links, registrar.grid.shutter, lost):
+                return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model, lost)
+        if tracker.model is not MotionModel.TRANSLATION:
+            poses, tracker = again(_WithoutRotation(registrar.grid), None, image)
+        poses, links = completed(poses, tracker, image)
+        return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), lost=lost)
 
 
 def prepared_frames(

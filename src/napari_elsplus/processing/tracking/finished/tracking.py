@@ -19,6 +19,7 @@ from napari_elsplus.processing.tracking.methods import TrackingMethod, prepared_
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.refinement import located, refine
+from napari_elsplus.processing.tracking.standing_pattern import stands_still, without_standing_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -65,26 +66,40 @@ class FinishedTracking(TrackingMethod):
     def estimate_pose(self, image: NDArray[np.float32]) -> Pose:
         """See :meth:`~.methods.TrackingMethod.estimate_pose`; a repeated frame has the pose of its twin."""
         if not self._poses or not self._repeats(image, self._previous):
-            self._tracker.slot()[:] = image
-            pose = self._tracker.add()
-            if self._poses and pose.segment > self._poses[-1].segment:  # the frame before was registered, too
-                self._poses[-1] = self._poses[-1]._replace(segment=pose.segment, state=TrackingState.TRACKED)
-            self._poses.append(pose if pose.state is TrackingState.TRACKED else pose.lost)
+            self._add(self._tracker, self._poses, image)
             self._previous[:] = image
         self._image_of_frame.append(len(self._poses) - 1)
         return _in_pixels_of(1 / self._registrar.binning, self._poses[-1])
 
+    @staticmethod
+    def _add(tracker: Tracker, poses: list[Pose], image: NDArray[np.float32]) -> None:
+        """Track an image; frames without a registration are lost."""
+        tracker.slot()[:] = image
+        pose = tracker.add()
+        if poses and pose.segment > poses[-1].segment:  # the frame before was registered, too
+            poses[-1] = poses[-1]._replace(segment=pose.segment, state=TrackingState.TRACKED)
+        poses.append(pose if pose.state is TrackingState.TRACKED else pose.lost)
+
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """See :meth:`~.methods.TrackingMethod.refine`."""
         frames = np.unique(self._image_of_frame, return_index=True)[1].tolist()
+        poses, tracker, registrar, count = self._poses, self._tracker, self._registrar, len(frames)
 
-        graph = PoseGraph(
-            FinishedNodeRegistration(self._registrar),
-            prepared_frames(self._registrar, lambda index: image(frames[index]), _MAX_HELD),
-        )
-        links = self._tracker.links
-        refined = refine(located(self._poses, links, graph.grid.shutter), links, graph)
-        return [_in_pixels_of(1 / self._registrar.binning, refined[k]) for k in self._image_of_frame]
+        def one(index: int) -> NDArray[np.float32]:
+            """Return the image of a frame that repeats no other."""
+            return image(frames[index])
+
+        images: Callable[[int], NDArray[np.float32]] = one
+        without = without_standing_pattern(one, registrar, count)
+        if without is not None:
+            other, found = Tracker(registrar), list[Pose]()
+            for index in range(count):
+                self._add(other, found, without(index))
+            if stands_still((tracker.links, one), (other.links, without), registrar, count):
+                poses, tracker, images = found, other, without
+        graph = PoseGraph(FinishedNodeRegistration(registrar), prepared_frames(registrar, images, _MAX_HELD))
+        refined = refine(located(poses, tracker.links, graph.grid.shutter), tracker.links, graph)
+        return [_in_pixels_of(1 / registrar.binning, refined[k]) for k in self._image_of_frame]
 
     def discard_registrations(self) -> None:
         """See :meth:`~.methods.TrackingMethod.discard_registrations`."""
