@@ -39,10 +39,10 @@ def circling(px: float) -> np.ndarray:
     return px * np.cumsum(np.stack([np.sin(angle), np.cos(angle)], axis=1), axis=0)
 
 
-def seen(grid: Grid, positions: np.ndarray, seed: int) -> np.ndarray:
-    """Return images (T, n, n) of smooth tissue, with the stretch of a rolling shutter and noise."""
+def seen(grid: Grid, positions: np.ndarray, seed: int, px: float = 7.0) -> np.ndarray:
+    """Return images (T, n, n) of tissue, smooth within so many pixels, by a rolling shutter, with noise."""
     random = np.random.default_rng(seed)
-    noise = cv2.GaussianBlur(random.standard_normal((900, 900)).astype(np.float32), (0, 0), 7)
+    noise = cv2.GaussianBlur(random.standard_normal((900, 900)).astype(np.float32), (0, 0), px)
     tissue, images = np.exp(0.35 * noise / noise.std()), []
     y, x = (np.arange(grid.side) - centre for centre in grid.centre)
     times = np.arange(len(positions))
@@ -121,6 +121,17 @@ def test_the_edge_of_a_shadow_does_not_hold_the_track_of_finished_images() -> No
     errors = step_errors(refined(tracking, np.array([field.window(image) for image in images])), positions)
     assert len(errors) == FRAMES - 1
     assert errors.max() < 2
+
+
+def test_light_that_falls_towards_the_rim_does_not_hold_the_track_of_finished_images() -> None:
+    grid, positions = replace(raw_tracking().grid, shutter=RollingShutter(np.inf)), circling(12.0)
+    vignette = 1 - 0.5 * (distance(grid, 0, 0) / (grid.diameter / 2)) ** 2
+    images = (seen(grid, positions, 7, px=11.0) * vignette).astype(np.float32)
+    field = FinishedField.of(list(images))
+    tracking = FinishedTracking(field)
+    errors = step_errors(refined(tracking, np.array([field.window(image) for image in images])), positions)
+    assert len(errors) == FRAMES - 1
+    assert np.median(errors) < 0.1
 
 
 def test_tissue_over_which_the_probe_rests_is_tracked_as_it_is() -> None:

@@ -68,7 +68,15 @@ def without_standing_pattern(image: Images, registrar: Registrar, count: int) ->
 
 
 def contrast(registrar: Registrar, image: Image) -> float:
-    """Return the variance of an image (n, n) at half resolution, high-passed; in the mean over the square."""
+    """Return the variance of an image at half resolution, high-passed; in the mean over the square.
+
+    Parameters
+    ----------
+    registrar : Registrar
+        Of such images.
+    image : numpy.ndarray
+        (n, n) float32.
+    """
     view = registrar.view()
     view.image[:] = image
     return float(np.square(registrar.prepare(view).levels[1]).mean())

@@ -41,6 +41,9 @@ _STATIC_RATIO: Final = 2.0
 """The same over the scatter of the cell in time, standard deviations."""
 _MAX_STATIC: Final = 0.15
 """Fraction of the field up to which cells are taken for a static pattern: where more stands still, the probe rests."""
+_MIN_UNEVEN: Final = 0.1
+"""Standard deviation over the field of the logarithm of its light from which that is divided out; chosen: light that
+falls to half at the rim has 0.15."""
 _MIN_SAMPLES: Final = 8
 """Frames from which a static pattern is estimated; chosen, a median of fewer contains the tissue."""
 
@@ -61,6 +64,8 @@ class FinishedField:
         Grey level step of the images, 0 for floating point.
     mask : numpy.ndarray
         (rows, cols) float32 cells of the coarse images, 1 in the field without its static pattern, 0 elsewhere.
+    light : numpy.ndarray
+        (side, side) float32 light on the grid over its mean, by which images are divided before they are registered.
     """
 
     shape: tuple[int, int]
@@ -69,6 +74,7 @@ class FinishedField:
     floor: float
     quantum: float
     mask: NDArray[np.float32]
+    light: NDArray[np.float32]
 
     @classmethod
     def of(cls, samples: Sequence[NDArray[Any]]) -> FinishedField:
@@ -99,7 +105,10 @@ class FinishedField:
         level = max(float(np.median(middle)) - darkest, 0.5 * (float(np.percentile(middle, 99)) - darkest))
         quantum = 0.0 if np.asarray(samples[0]).dtype.kind == "f" else 1.0
         mask = np.floor(_coarse(inside.astype(np.float32)) + 1e-3)
-        field = cls((rows, cols), grid, darkest, 0.1 * level + 1e-6, quantum, mask)
+        base = 0.1 * level + 1e-6
+        median = np.median([_window(image, grid) for image in stack], axis=0)
+        light = _vignette(np.log(np.maximum(median - darkest, 0) + base), inside, grid)
+        field = cls((rows, cols), grid, darkest, base, quantum, mask, light)
         return replace(field, mask=mask * ~field._static_pattern(stack))
 
     @classmethod
@@ -175,6 +184,27 @@ def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float]
     deepest = np.argwhere(depth > radius - 0.75)
     nearest = deepest[np.argmin(((deepest - whole[0]) ** 2).sum(axis=1))]
     return (float(nearest[0]), float(nearest[1])), 2 * radius - 1
+
+
+def _vignette(logarithm: NDArray[np.floating], inside: NDArray[np.bool_], grid: Grid) -> NDArray[np.float32]:
+    """Return the light (n, n) over its mean if its logarithm falls with the squared distance from the middle, else 1.
+
+    It stands still, and smooth tissue would be registered by it.
+
+    Parameters
+    ----------
+    logarithm : numpy.ndarray
+        (n, n) of the median of the images.
+    inside : numpy.ndarray
+        (n, n) bool: the field.
+    grid : Grid
+        The grid of the field.
+    """
+    y, x = (np.arange(grid.side) - centre for centre in grid.centre)
+    square = np.add.outer(y**2, x**2)
+    square -= square[inside].mean()
+    light = square * (square * logarithm)[inside].sum() / np.square(square[inside]).sum()
+    return np.where(light[inside].std() < _MIN_UNEVEN, 1, np.exp(light)).astype(np.float32)
 
 
 def _finite(image: NDArray[Any]) -> NDArray[np.float32]:

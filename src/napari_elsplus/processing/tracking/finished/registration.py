@@ -89,10 +89,11 @@ class FinishedRegistrar(Registrar):
         """Fill the binned image, its coarser levels, and the spectra of its logarithm: :meth:`~.Registrar.prepare`."""
         image = view.arrays.images[0]
         used = len(image) * self.binning
-        binned = cv2.resize(view.image[:used, :used], image.shape, interpolation=cv2.INTER_AREA)
+        even = view.image / self._field.light
+        binned = cv2.resize(even[:used, :used], image.shape, interpolation=cv2.INTER_AREA)
         image[:] = cv2.sepFilter2D(binned, -1, _BINOMIAL, _BINOMIAL) if self.binning > 1 else binned
         super().prepare(view)
-        view.coarse = self._odds.spectra(self._field.coarse_logarithm(view.image))
+        view.coarse = self._odds.spectra(self._field.coarse_logarithm(even))
         return view
 
     def register(
