@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Images = Callable[[int], Image]
 
 MAX_SAMPLES: Final = 64
-"""Frames, spread evenly, from which the pattern is estimated; chosen."""
+"""Frames, spread evenly, from which what stands still is estimated; chosen."""
 MIN_SAMPLES: Final = 8
 """Frames from which it is; chosen, a median of fewer contains the tissue."""
 MIN_SHARE: Final = 0.03
@@ -31,6 +31,11 @@ without it; chosen: dust over a twentieth of rich tissue makes 0.04, of which re
 FEWER_LINKS: Final = 0.5
 """Part of what tracking leaves unexplained that may be left without the pattern if fewer frames are linked; chosen:
 around rings as bright as three times the tissue it is 0.16 to 0.29, where the probe hardly moves 0.57 and more."""
+
+
+def evenly_spread(count: int) -> list[int]:
+    """Return the indices of at most :data:`MAX_SAMPLES` of `count` frames, evenly spread."""
+    return [int(index) for index in np.unique(np.linspace(0, count - 1, MAX_SAMPLES).astype(int))]
 
 
 def without_standing_pattern(image: Images, registrar: Registrar, count: int) -> Images | None:
@@ -47,8 +52,7 @@ def without_standing_pattern(image: Images, registrar: Registrar, count: int) ->
     count : int
         Number of frames.
     """
-    chosen = np.unique(np.linspace(0, count - 1, MAX_SAMPLES).astype(int)).tolist()
-    samples = [sample for sample in map(image, chosen) if sample.any()]
+    samples = [sample for sample in map(image, evenly_spread(count)) if sample.any()]
     if len(samples) < MIN_SAMPLES:
         return None
     lit = np.any(samples, axis=0)
@@ -114,6 +118,6 @@ def unexplained(links: Sequence[TrackedPair], image: Images, registrar: Registra
     chosen = links[:: -(-len(links) // MAX_SAMPLES) or 1]
     left = [(1 - link.registration.at_half) * contrast(registrar, image(link.later)) for link in chosen]
     lost = count - 1 - len(links)
-    frames = np.unique(np.linspace(0, count - 1, MAX_SAMPLES).astype(int)).tolist() if lost > 0 else []
+    frames = evenly_spread(count) if lost > 0 else []
     unrelated = [contrast(registrar, image(frame)) for frame in frames]
     return 2 * sum(k * float(np.mean(each)) for k, each in ((len(links), left), (lost, unrelated)) if each) / count

@@ -15,6 +15,7 @@ from napari_elsplus.processing.analysis.uncertainty import robust_sigma
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter
 from napari_elsplus.processing.tracking.registration.masked_correlation import high_passed
+from napari_elsplus.processing.tracking.standing_pattern import MIN_SAMPLES, evenly_spread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
     from napari_elsplus.processing.images.sectioning import Frames
 
-MAX_SAMPLES: Final = 64
-"""Frames, spread evenly, from which the field of view and the static pattern are estimated; chosen."""
 COARSE_DIAMETER: Final = 192
 """Diameter of the field in cells of the search over all shifts; chosen: texture finer than this is not searched for."""
 MIN_DIAMETER_PX: Final = 16
@@ -44,8 +43,6 @@ _MAX_STATIC: Final = 0.15
 _MIN_UNEVEN: Final = 0.1
 """Standard deviation over the field of the logarithm of its light from which that is divided out; chosen: light that
 falls to half at the rim has 0.15."""
-_MIN_SAMPLES: Final = 8
-"""Frames from which a static pattern is estimated; chosen, a median of fewer contains the tissue."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +148,7 @@ class FinishedField:
         """Return the cells (rows, cols) that show the same in all of a stack of images: dead cores, labels."""
         mask = self.mask
         nothing = np.zeros(mask.shape, bool)
-        if len(stack) < _MIN_SAMPLES:
+        if len(stack) < MIN_SAMPLES:
             return nothing
         scale = COARSE_DIAMETER / 16
         logarithms = (self.coarse_logarithm(_window(image, self.grid)) for image in stack)
@@ -164,9 +161,8 @@ class FinishedField:
 
 
 def sample_frames(frames: Frames) -> list[NDArray[Any]]:
-    """Return at most :data:`MAX_SAMPLES` frames (rows, cols), spread evenly over a stack."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, MAX_SAMPLES).astype(int))
-    return [np.asarray(frames[int(index)]) for index in chosen]
+    """Return frames (rows, cols) that are evenly spread over a stack."""
+    return [np.asarray(frames[index]) for index in evenly_spread(len(frames))]
 
 
 def _lit_disc(stack: Sequence[NDArray[np.float32]]) -> tuple[tuple[float, float], float]:
