@@ -171,6 +171,10 @@ class LevelView:
         part = Rectangle(top, left, bottom, right).translated(self._part.top, self._part.left)
         return _read(self._pyramid, self._level, part)[tuple(rest)]
 
+    def __deepcopy__(self, _: dict[int, Any]) -> NDArray[Any]:
+        """Return its pixels, which a layer that the user duplicates keeps while the mosaic grows or is cleared."""
+        return np.asarray(self)
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         whole = _read(self._pyramid, self._level, self._part)
         return whole if dtype is None else whole.astype(dtype, copy=False)

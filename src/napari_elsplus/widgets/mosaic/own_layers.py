@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 TRACK, MARKS, COVERAGE, QUALITY, NAMES = "track", "track marks", "coverage", "quality", "titles"
 _ABOVE_IMAGES: Final = (COVERAGE, QUALITY, NAMES, TRACK, MARKS)
 """Order above the images, from bottom to top."""
+LAYER: Final = "layer"
+"""Key in the metadata of a layer of its unique id, which a copy of it does not have."""
 
 
 class OwnLayers:
@@ -43,9 +45,9 @@ class OwnLayers:
 
     @property
     def present(self) -> dict[str, Layer]:
-        """Layers in the viewer, by kind."""
+        """Layers in the viewer, by kind; copies that the user has made of them are the user's."""
         noted = ((provenance_of(layer.metadata), layer) for layer in self._viewer.layers)
-        return {facts[MOSAIC]: layer for facts, layer in noted if MOSAIC in facts}
+        return {facts[MOSAIC]: layer for facts, layer in noted if facts.get(LAYER) == layer.unique_id}
 
     @property
     def step(self) -> float:
@@ -109,6 +111,7 @@ class OwnLayers:
             layer.metadata[PROVENANCE] = {
                 "kind": f"{MOSAIC} {kind}",
                 MOSAIC: kind,
+                LAYER: layer.unique_id,
                 "software": SOFTWARE,
                 **self._adopted,
             }
