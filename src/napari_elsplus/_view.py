@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus.viewing.common_axes import PIXEL
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     import napari.viewer
     from napari.layers import Layer
@@ -53,6 +53,39 @@ def remove_layers(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None
         with viewer.layers.batched_update():
             for layer in layers:
                 viewer.layers.remove(layer)
+
+
+class HiddenLayers:
+    """The user's layers while others are displayed in their place; shown and selected again afterwards.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        The viewer.
+    """
+
+    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+        self._viewer = viewer
+        self._hidden: list[Layer] = []
+        self._selected: set[Layer] = set()
+
+    def hide(self, ours: Collection[Layer] = ()) -> None:
+        """Hide the visible layers but `ours`, in addition to those that are hidden already."""
+        self._selected = set(self._viewer.layers.selection)
+        for layer in self._viewer.layers:
+            if layer.visible and layer not in ours:
+                layer.visible = False
+                self._hidden.append(layer)
+
+    def restore(self) -> None:
+        """Show those that were hidden, and select what was selected, as far as they are still in the viewer."""
+        hidden, self._hidden = self._hidden, []
+        for layer in self._viewer.layers:
+            if layer in hidden:
+                layer.visible = True
+        if selected := self._selected.intersection(self._viewer.layers):
+            self._viewer.layers.selection = selected
+        self._selected = set()
 
 
 def answer() -> None:

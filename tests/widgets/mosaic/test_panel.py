@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import tifffile
 from napari.layers import Image
+from napari.layers._layer_actions import _duplicate_layer as duplicate_layers
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
@@ -20,6 +21,7 @@ from qtpy.QtWidgets import QApplication
 from napari_elsplus._view import FILLED
 from napari_elsplus.io import open_recording, read_track, write_calibration, write_images
 from napari_elsplus.io.settings import recall
+from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.widgets.mosaic.panel import MosaicPanel
 from napari_elsplus.widgets.shared.work import Work
 from recordings import Truth, record, smooth_path, texture
@@ -179,6 +181,26 @@ def test_layers_keep_the_users_colours_and_are_used_again(viewer, panel, qtbot):
     assert layer.colormap.name == "magenta"
     assert len(viewer.layers) == before + 1
     assert mosaics(viewer) == OURS - {"mosaic LS", "mosaic ELSA"}
+
+
+def test_copies_that_the_user_makes_are_the_users(viewer, panel, qtbot):
+    """Before: a mosaic was not duplicated but raised, and the copy of a track was drawn and removed in its place."""
+    make(panel, qtbot)
+    qtbot.waitUntil(lambda: "mosaic quality" in viewer.layers)
+    drawn = np.asarray(viewer.layers["mosaic ELS+"].data[0])
+    viewer.layers.selection = [layer for layer in viewer.layers if layer.name in mosaics(viewer)]
+    duplicate_layers(viewer.layers)
+    copies = {name for name in mosaics(viewer) if name.endswith(" copy")}
+    assert "mosaic ELS+ copy" in copies
+    assert len(copies) == len(mosaics(viewer)) / 2
+    lines = viewer.layers["mosaic track copy"].data
+    panel.form.undoing.native.click()
+    qtbot.waitUntil(lambda: not panel.layers.behind)
+    assert len(viewer.layers["mosaic track"].data) < len(lines)
+    assert viewer.layers["mosaic track copy"].data is lines
+    panel.form.clearing.native.click()
+    assert mosaics(viewer) == copies
+    np.testing.assert_array_equal(viewer.layers["mosaic ELS+ copy"].data[0], drawn)
 
 
 def test_a_mosaic_whose_layer_was_removed_names_the_ways_that_are_left(viewer, panel, qtbot):
@@ -446,6 +468,23 @@ def test_mosaics_that_are_cancelled_before_their_first_frame_change_nothing(view
     cancelled.set()
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel._shown is shown
+
+
+def test_the_users_layers_are_displayed_until_the_first_frame_is_inserted(viewer, panel, qtbot, monkeypatch):
+    """Before: the canvas was black meanwhile, for seconds on a busy computer, and stayed so after Cancel."""
+    begun, goes_on, run = Event(), Event(), StackMosaics.run
+    monkeypatch.setattr(StackMosaics, "run", lambda *given: (begun.set(), goes_on.wait(60), run(*given))[-1])
+    before = [(layer.name, layer.visible) for layer in viewer.layers]
+    panel.form.start.native.click()
+    qtbot.waitUntil(begun.is_set, timeout=60_000)
+    panel.tick()
+    assert [(layer.name, layer.visible) for layer in viewer.layers] == before
+    panel.form.start.native.click()
+    goes_on.set()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    panel.tick()
+    assert [(layer.name, layer.visible) for layer in viewer.layers] == before
+    assert panel.unsaved() == ""
 
 
 def test_a_renamed_recording_stays_selected(viewer, panel, qtbot):

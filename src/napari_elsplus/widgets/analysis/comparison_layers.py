@@ -10,7 +10,7 @@ import numpy as np
 from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
-from napari_elsplus._view import answer, fit_visible_layers
+from napari_elsplus._view import HiddenLayers, answer, fit_visible_layers
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes
 
@@ -72,7 +72,7 @@ class ComparisonLayers:
     def __init__(self, viewer: napari.viewer.Viewer, line_moved: Callable[[], None]) -> None:
         self._viewer = viewer
         self._line_moved = line_moved
-        self._hidden: dict[Any, bool] = {}
+        self._hidden = HiddenLayers(viewer)
         self._offsets_px: list[int] = []
         self._side = 0
         self._line: Shapes | None = None
@@ -128,17 +128,14 @@ class ComparisonLayers:
         camera, dims = self._viewer.scene.camera, self._viewer.dims
         self._view = dims.ndisplay, camera.center, camera.zoom
         dims.ndisplay = 2  # a third dimension would be time: all frames at once
-        self._hidden = {layer: layer.visible for layer in self._viewer.layers}
-        self._selected = set(self._viewer.layers.selection)
-        for layer in self._hidden:
-            layer.visible = False
+        self._hidden.hide()
         answer()
         self._side = images[0].planes.shape[-1]
         self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(images))]
         for layer in self._made(images, stack, calibration, line):
             self._viewer.layers.append(layer)
             answer()
-            if not self._hidden:
+            if not self.images:
                 return  # ended while the window answered
         fit_visible_layers(self._viewer)
 
@@ -150,16 +147,12 @@ class ComparisonLayers:
                 self._viewer.layers.remove(layer)
                 answer()
         gc.unfreeze()
-        for layer, visible in self._hidden.items():
-            layer.visible = visible
+        self._hidden.restore()
         answer()
-        if self._hidden:
-            self._viewer.layers.selection = {layer for layer in self._selected if layer in self._viewer.layers}
         if self._view is not None:
             self._viewer.dims.ndisplay, *camera = self._view
             self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = camera
             self._view = None
-        self._hidden = {}
 
     def set_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Draw the line on every image.

@@ -21,7 +21,7 @@ from napari_elsplus.processing.calibration.steps import OFFSET, calibration_step
 from napari_elsplus.viewing.calibration_script import MeasurementSource, calibration_script
 from napari_elsplus.viewing.outlines import summary
 from napari_elsplus.widgets.calibration import measuring
-from napari_elsplus.widgets.calibration.bundle_layers import show_bundle
+from napari_elsplus.widgets.calibration.bundle_layers import BundleLayers
 from napari_elsplus.widgets.calibration.form import Form
 from napari_elsplus.widgets.calibration.hints import explanation, next_action
 from napari_elsplus.widgets.calibration.history import HistoryDialog
@@ -75,6 +75,7 @@ class CalibrationPanel(EnginePanel):
         self._saved: Calibration | None = None
         self._known: tuple[Settings | None, str | None, dict[str, str]] = (None, None, {})
         self.sharing = Sharing(self.connection)
+        self._bundle = BundleLayers(viewer)
         self.work = Work(self.refresh, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
@@ -242,7 +243,7 @@ class CalibrationPanel(EnginePanel):
         if not self._closed:
             self._poll.stop()
             self.work.cancel()
-            show_bundle(self.viewer, None, self.draft)
+            self._bundle.show(None, self.draft)
         super().cleanup()
 
     def _wire(self) -> None:
@@ -393,7 +394,7 @@ class CalibrationPanel(EnginePanel):
         )
         if shown is None and step.state(draft)[0] is not StepState.MISSING:
             form.show_numbers([one for one in calibration_numbers(draft.calibration) if one.step == self.key])
-        show_bundle(self.viewer, shown, draft)
+        self._bundle.show(shown, draft)
 
     def _theme_changed(self) -> None:
         self.form.apply_theme(self.viewer.theme)

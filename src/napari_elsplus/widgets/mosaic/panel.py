@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_info, show_warning
 
+from napari_elsplus._view import HiddenLayers
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_calibration
 from napari_elsplus.io.formats.registry import dialog_filter, recordings_filter
@@ -64,7 +65,7 @@ class MosaicPanel(EnginePanel):
         self._arrived: tuple[StackMosaics, MosaicSource] | None = None
         self._shown: StackMosaics | LiveMosaicView | None = None
         self._saved: StackMosaics | LiveMosaicView | None = None
-        self._hidden: list[Any] = []
+        self._hidden = HiddenLayers(viewer)
         self._ticks = 0
         self._stale = False
         self._following_live, self._cleared_board = True, ""
@@ -125,7 +126,7 @@ class MosaicPanel(EnginePanel):
                 )
                 mosaics.compile_kernels()
                 self.work.stop_if_cancelled()
-                self._arrived = mosaics, source  # displayed from now on
+                self._arrived = mosaics, source
                 mosaics.run(self.work.progress)
                 return mosaics
 
@@ -194,10 +195,7 @@ class MosaicPanel(EnginePanel):
         self._leave_live()
         self._arrived = self._shown = None
         self.layers.remove()
-        for layer in self._hidden:
-            if layer in self.viewer.layers:
-                layer.visible = True
-        self._hidden = []
+        self._hidden.restore()
         self.form.speed.show_speed(None)
         self.refresh()
 
@@ -313,13 +311,13 @@ class MosaicPanel(EnginePanel):
         self.layers.show(live, live.plan.tracked)
 
     def _show_arrived(self) -> None:
-        """Display the mosaics of a stack whose frames are being inserted, in place of what was displayed."""
-        if self._arrived is None:
+        """Display the mosaics of a stack, in place of what was displayed, once they contain a frame."""
+        if self._arrived is None or not len(self._arrived[0].rows):
             return
         (mosaics, source), self._arrived = self._arrived, None
         self._leave_live()
         self._following_live = False
-        self._hide_others()
+        self._hidden.hide(self.layers.own.present.values())
         self._shown = mosaics
         self.layers.show(mosaics, mosaics.plan.tracked, source.title)
 
@@ -343,6 +341,7 @@ class MosaicPanel(EnginePanel):
         if self._shown is not None or self._arrived is not None:
             self.tick()
             self.layers.update(whole=True)
+        self._arrived = None  # ended before its first frame
         self.refresh()
 
     def _status_text(self) -> str:
@@ -356,20 +355,12 @@ class MosaicPanel(EnginePanel):
                 return compilation_remark(status.compiling).capitalize()
             return "Starting..." if self.work.busy or self.waiting else next_hint(HINT)
         text = mosaic_text(self._shown, drawing.segments, self.layers.covered_px, busy=self.work.busy)
-        text += f"<br>{next_hint(REMOVED)}" if self.layers.removed else ""
-        if status is None or not isinstance(self._shown, LiveMosaicView):
-            return text
-        return f"{text}{track_text(status, calibration)}"
+        if status is not None and isinstance(self._shown, LiveMosaicView):
+            text += track_text(status, calibration)
+        return f"{text}<br>{next_hint(REMOVED)}" if self.layers.removed else text
 
     def _chosen(self) -> Image:
         return chosen_image(self.form.recording, "stack")
-
-    def _hide_others(self) -> None:
-        ours = set(self.layers.own.present.values())
-        for layer in self.viewer.layers:
-            if layer.visible and layer not in ours:
-                layer.visible = False
-                self._hidden.append(layer)
 
     def _layers_changed(self) -> None:
         self.form.recording.refresh(newest=not self.work.busy)
