@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from napari.settings import get_settings
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.acquisition.engine.engine import Engine
@@ -443,6 +444,15 @@ def test_a_diameter_in_millimetres_is_refused_and_the_last_one_stays(panel):
         assert told in problems.newest
         assert bool(told) is bool(problems.newest)
         assert (form.bundle_um.value(), panel.draft.bundle_um) == (kept_um, kept_um)
+
+
+def test_the_steps_have_the_font_that_the_user_sets_in_napari(viewer, panel):
+    """Before: that of the system, as of all tool buttons, at any size of the others."""
+    for font_pt in (8, 15):
+        get_settings().appearance.font_size = font_pt
+        QApplication.processEvents()
+        buttons = [*panel.form.steps.values(), panel.form.measure]
+        assert len({button.fontInfo().pixelSize() for button in buttons}) == 1
 
 
 def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_recording, tmp_path, questions):

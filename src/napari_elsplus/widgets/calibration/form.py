@@ -14,7 +14,6 @@ from qtpy.QtWidgets import (
     QLabel,
     QPushButton,
     QSpinBox,
-    QToolButton,
     QWidget,
 )
 
@@ -193,7 +192,7 @@ class Form:
         for plot in self.plots:
             plot.apply_theme(theme)
         ink = self.plots[0].colour("blue")
-        style = f"QToolButton {{padding: 3px}} QToolButton:checked {{border: 1px solid {ink}; font-weight: 600}}"
+        style = f"QPushButton {{padding: 3px}} QPushButton:checked {{border: 1px solid {ink}; font-weight: 600}}"
         for button in self.steps.values():
             button.setStyleSheet(style)
 
@@ -328,11 +327,9 @@ class Form:
             if label is not None:
                 label.setVisible(shown)
 
-    def _step_button(self, number: int, step: CalibrationStep[Any]) -> QToolButton:
-        button = QToolButton()
+    def _step_button(self, number: int, step: CalibrationStep[Any]) -> QPushButton:
+        button = QPushButton(f"{number} {step.title}")
         button.setCheckable(True)
-        button.setSizePolicy(button.sizePolicy().Policy.Expanding, button.sizePolicy().Policy.Fixed)
-        button.setText(f"{number} {step.title}")
         return button
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
