@@ -61,6 +61,19 @@ def test_what_is_opened_first_fills_the_canvas_above_a_scale_bar_and_what_follow
     assert (camera.center, camera.zoom, bar.visible) == (*view, False)
 
 
+def test_the_first_frame_of_what_is_opened_first_is_displayed_and_what_follows_leaves_the_slider(
+    make_napari_viewer_proxy, tmp_path
+):
+    """Before: the middle one, which is dark in an axial scan, with the contrast of the first."""
+    viewer = make_napari_viewer_proxy()
+    path = str(write_pair(tmp_path))
+    viewer.open(path, plugin=PLUGIN)
+    assert viewer.dims.current_step[0] == 0
+    viewer.dims.set_current_step(0, 3)
+    viewer.open(path, plugin=PLUGIN)
+    assert viewer.dims.current_step[0] == 3
+
+
 @pytest.mark.parametrize("moved", [False, True])
 def test_what_is_opened_first_fills_a_canvas_that_the_layers_controls_make_narrower(
     make_napari_viewer_proxy, tmp_path, qtbot, moved

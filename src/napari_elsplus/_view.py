@@ -94,12 +94,13 @@ def answer() -> None:
 
 
 def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
-    """Answer between the layers that are being opened; fit them into the canvas of a viewer that had none before.
+    """Answer between the layers that are being opened; display the first frame of those in a viewer that had none.
 
     napari inserts all layers of a file in one turn of the event loop. Each takes a tenth of a second, and several on a
     busy computer: live images stood still, and the engine took the window for frozen. So the window is drawn, and its
     timers run, after each of them. napari fits the first one before the controls beside it have narrowed the canvas,
-    and fits hidden raw frames, too.
+    and fits hidden raw frames, too; it displays the middle frame, where an axial scan is dark, and whose grey levels
+    are not those that the contrast is set by.
 
     Parameters
     ----------
@@ -115,6 +116,10 @@ def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
     first = not len(viewer.layers)
 
     def answer_to(_: Any) -> None:
+        here = opened()
+        if first and here is not None and left[0] == count:
+            for axis in here.dims.not_displayed:
+                here.dims.set_current_step(axis, 0)
         left[0] -= 1
         if left[0] <= 0:
             inserted.disconnect(answer_to)
