@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import napari
-from napari.utils.notifications import show_error, show_info, show_warning
+from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus._view import view_opened_layers
-from napari_elsplus.errors import ElsPlusError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, foreign_file
@@ -18,6 +17,7 @@ from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
 from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+from napari_elsplus.widgets.shared.problems import notify_errors, problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,34 +48,32 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
 
 
 def refuse_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
-    """Display that the file at `path` is none of ours: where no reader takes a file, napari prints a traceback."""
-    show_error(str(foreign_file(Path(str(path)))))
+    """Report that the file at `path` is none of ours: where no reader takes a file, napari prints a traceback."""
+    problems.report(str(foreign_file(Path(str(path)))))
     return NO_LAYERS
 
 
 def read_recording(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
     """Open the recording at `path` as lazy layers, with the calibration beside it, in it, or the active one."""
-    try:
+    layers: list[tuple[Any, ...]] = []
+    with notify_errors():
         opened = open_layers(str(path), settings.active_calibration())
-    except ElsPlusError as error:
-        show_error(str(error))
-        return NO_LAYERS
-    for note in opened.notes:
-        show_warning(note)
-    return _with_common_axes(opened.layers)
+        for note in opened.notes:
+            show_warning(note)
+        layers += _with_common_axes(opened.layers)
+    return layers or NO_LAYERS
 
 
 def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
     """Return the outlines of the calibration at `path`, and make it the active one for recordings opened later."""
-    try:
+    layers: list[tuple[Any, ...]] = []
+    with notify_errors():
         opened = calibration_layers(str(path))
-    except ElsPlusError as error:
-        show_error(str(error))
-        return NO_LAYERS
-    settings.set_active_calibration(str(path))
-    for note in opened.notes:
-        show_info(note)
-    return [tuple(layer) for layer in opened.layers] or NO_LAYERS
+        settings.set_active_calibration(str(path))
+        for note in opened.notes:
+            show_info(note)
+        layers += [tuple(layer) for layer in opened.layers]
+    return layers or NO_LAYERS
 
 
 def _with_common_axes(layers: list[Layer]) -> list[tuple[Any, ...]]:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import napari
 import numpy as np
 import pint
-from napari.utils.notifications import show_error
 
-from napari_elsplus.errors import ElsPlusError, InputError, error_message
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.viewing.provenance import provenance_of
+from napari_elsplus.widgets.shared.problems import notify_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -50,15 +51,11 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     OSError
         If the file cannot be written; displayed likewise.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
-            return _write(path, data, attributes)
-    except (ElsPlusError, OSError) as error:
-        if napari.current_viewer() is None:
-            raise
-        show_error(error_message(error))
-        return []
+    written: list[str] = []
+    with nullcontext() if napari.current_viewer() is None else notify_errors(), warnings.catch_warnings():
+        warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
+        written += _write(path, data, attributes)
+    return written
 
 
 def _write(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:

@@ -19,6 +19,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.widgets.dock.panel import FIRST, PANELS
 from napari_elsplus.widgets.shared.panel import find_panel
 from napari_elsplus.widgets.shared.problems import notify_errors, problems
+from pairs import write_pair
 
 PLUGIN = "napari-elsplus"
 LAPTOPS = ((1280, 800), (1366, 768))
@@ -182,6 +183,18 @@ def test_the_status_line_names_rig_stream_and_calibration(dock, qtbot):
     assert "active calibration: none" in state.text()
     dock.connection.connect("simulated", Settings("240hz", frame_rate_hz=100.0))
     qtbot.waitUntil(lambda: "<b>simulated</b>: connected" in state.text(), timeout=60_000)
+
+
+def test_a_file_that_cannot_be_opened_stays_named_until_another_is_opened(dock, viewer, tmp_path):
+    """Before: napari's notification alone, which cuts the remedy off and fades."""
+    path, shown = tmp_path / "empty.tif", dock.status_line.problem
+    path.touch()
+    viewer.open(str(path), plugin="napari-elsplus")
+    dock.refresh()
+    assert "empty.tif is empty: copy or record it again" in shown.text()
+    viewer.open(str(write_pair(tmp_path)), plugin="napari-elsplus")
+    dock.refresh()
+    assert shown.isHidden()
 
 
 def test_an_error_stays_with_its_remedy_until_the_panels_next_action_succeeds(dock, tmp_path):
