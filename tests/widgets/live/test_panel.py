@@ -102,6 +102,24 @@ def test_live_layers_fill_and_are_kept_as_the_user_has_set_them(viewer, panel, q
     assert datetime.fromisoformat(facts["displayed_since"]).tzinfo is not None
 
 
+def test_two_viewers_display_one_stream_which_goes_on_when_one_is_closed(
+    viewer, panel, make_napari_viewer_proxy, qtbot
+):
+    other = make_napari_viewer_proxy()
+    _, second = other.window.add_plugin_dock_widget(PLUGIN, "Live")
+    assert second is not panel
+    start(panel, qtbot)
+    qtbot.waitUntil(lambda: "live ELS+" in other.layers and second.form.start.text == "Stop", timeout=30_000)
+    stop(second, qtbot)
+    assert not panel.live
+    start(second, qtbot)
+    other.close()
+    qtbot.wait(300)
+    displayed = panel.layers._last_sequence
+    qtbot.waitUntil(lambda: panel.live and panel.layers._last_sequence > displayed, timeout=30_000)
+    stop(panel, qtbot)
+
+
 def test_remembered_values_that_a_field_does_not_take_leave_its_default(viewer):
     """Before: the panel did not open."""
     remember("live", cores="octagonal", average=900, kinds=3, seconds=5.0, folder=7)

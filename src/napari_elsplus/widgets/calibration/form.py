@@ -109,7 +109,6 @@ class Form:
         self.save_plots, self.script = QPushButton("Save plots..."), QPushButton("Copy as script")
         self.plots = [ThemedPlot("", "", theme) for _ in range(MAX_PLOTS)]
         self._lay_out(panel, work)
-        self.apply_theme(theme)
 
     @property
     def target_um(self) -> float:
@@ -191,10 +190,6 @@ class Form:
         """Use the colours of one of napari's themes."""
         for plot in self.plots:
             plot.apply_theme(theme)
-        ink = self.plots[0].colour("blue")
-        style = f"QPushButton {{padding: 3px}} QPushButton:checked {{border: 1px solid {ink}; font-weight: 600}}"
-        for button in self.steps.values():
-            button.setStyleSheet(style)
 
     def show_states(self, states: Mapping[str, tuple[StepState, str]], chosen: str) -> None:
         """Mark each step as done, stale or missing.
@@ -330,6 +325,7 @@ class Form:
     def _step_button(self, number: int, step: CalibrationStep[Any]) -> QPushButton:
         button = QPushButton(f"{number} {step.title}")
         button.setCheckable(True)
+        button.setStyleSheet("QPushButton:checked {font-weight: 600}")  # seen without colour, too
         return button
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
