@@ -104,9 +104,14 @@ class ManualScan:
         ------
         CalibrationError
             If the calibration does not fit the frame or lacks the scale.
+        InputError
+            If it is the frame that was added last.
         MeasurementError
             If the measured square does not fit into the bundle, or is saturated.
         """
+        if self._last is not None and np.array_equal(frame, self._last):
+            remedy = "display the next frame, or start the stream and choose its raw frame"
+            raise InputError(f"this frame was added at {self.depth_um[-1]:g} µm", remedy)
         frames = [frame] if self._last is None else [frame, self._last]
         ls, residual, systematic, dark, halves = axial_profiles(
             frames, calibration, depths_um=[depth_um, *self.depth_um[-1:]]

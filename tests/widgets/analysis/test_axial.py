@@ -90,7 +90,8 @@ def test_an_unsaved_manual_scan_is_discarded_only_if_the_user_agrees(viewer, pan
     panel.window().close()
     assert questions == ["The manual scan was not saved. Discard it?"] * 2
     assert "1 of at least 3" in panel.numbers.text()
-    for _ in range(2):
+    for k in (1, 2):
+        viewer.dims.set_current_step(0, k)
         panel.take.native.click()
     panel.save_to(tmp_path / "scan.json")
     panel.clear.native.click()
@@ -107,6 +108,25 @@ def test_the_next_action_can_be_done(viewer, panel, scan_file):
     for source, action in ((STACK, "press Measure"), (MANUAL, "press Add frame")):
         panel.source.value = source
         assert action in panel.numbers.text()
+
+
+def test_the_newest_frames_are_chosen_until_one_is_added_and_each_is_added_once(viewer, panel, scan_file, said):
+    """Before: a recording that was open first stayed chosen while live images were displayed, and its one frame was
+    added at every depth without a word.
+    """
+    panel.source.value = MANUAL
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    assert panel.live.value == "scan raw"
+    facts = {"kind": "live raw", "calibration": calibration()}
+    viewer.layers.append(Image(frames()[2], name="live raw", metadata={"elsplus": facts}))
+    assert panel.live.value == "live raw"
+    for _ in range(2):
+        panel.take.native.click()
+    assert "1 of at least 3" in panel.numbers.text()
+    assert next(message for severity, message in said() if severity == "error").startswith("this frame was added at 0")
+    assert panel.depth_now.value == panel.depth_step.value
+    viewer.open(str(scan_file), plugin=PLUGIN)
+    assert panel.live.value == "live raw"
 
 
 def test_a_live_image_is_a_single_frame(viewer, panel):

@@ -477,8 +477,11 @@ def test_live_frames_can_be_taken_for_an_axial_response(viewer, panel, qtbot):
     qtbot.waitUntil(lambda: not viewer.layers["live raw"].visible, timeout=30_000)
     before = int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0])
     qtbot.waitUntil(lambda: int(viewer.layers["live raw"].data[0, :8].view(np.int64)[0]) > before, timeout=30_000)
-    for _ in range(2):
-        axial.take.native.click()
+    frame = viewer.layers["live raw"].data
+    axial.take.native.click()
+    added = np.array(frame)
+    qtbot.waitUntil(lambda: not np.array_equal(frame, added), timeout=30_000)
+    axial.take.native.click()
     assert "2 of at least 3 depths" in axial.numbers.text()
 
 

@@ -244,8 +244,8 @@ class AxialResponsePanel(AnalysisPanel):
         self._layers_changed()
 
     def _layers_changed(self) -> None:
-        for choice in (self.stack, self.live):
-            choice.refresh()
+        self.stack.refresh()
+        self.live.refresh(newest=not self._depths)
         idle, stacks = not self.work.busy, bool(self.stack.choices)
         set_enabled(
             self.measure, idle and stacks, "Measure the axial response of the stack", WAIT if stacks else OPEN_SCAN

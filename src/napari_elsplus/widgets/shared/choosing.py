@@ -77,13 +77,13 @@ class LayerChoice(ComboBox):
         Parameters
         ----------
         newest : bool
-            Choose a calibrated recording that was opened since.
+            Choose frames with a calibration that came since: of a recording that was opened, or of the stream.
         """
         with self.changed.blocked():
             self.reset_choices()
-            recordings = [self._viewer.layers[name] for name in calibrated_recordings(self._viewer)]
-            opened = [layer for layer in recordings if layer not in self._known]
-            self._known = recordings
+            offered = [self._viewer.layers[name] for name in calibrated_frames(self._viewer) if name in self.choices]
+            opened = [layer for layer in offered if layer not in self._known]
+            self._known = offered
             layer = opened[-1] if newest and opened else self._layer
             if layer is not None and layer in self._viewer.layers and layer.name in self.choices:
                 self.value, self._layer = layer.name, layer
