@@ -85,6 +85,7 @@ ORDER = (
     "viewing",
     "viewing.mosaic",
     "_view",
+    "_problems",
     "widgets.shared",
     "widgets.calibration",
     "widgets.live",
@@ -101,7 +102,7 @@ ORDER = (
 """From the lowest to the highest: a module imports only from its own room and from rooms before it."""
 
 GUI_PACKAGES = {"napari", "qtpy", "magicgui", "PyQt5", "PyQt6", "PySide2", "PySide6", "superqt", "pyqtgraph", "vispy"}
-GUI_ROOMS = ("widgets", "_view", "_reader", "_writer", "_sample_data", "_screen", "_window")
+GUI_ROOMS = ("widgets", "_view", "_problems", "_reader", "_writer", "_sample_data", "_screen", "_window")
 HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "cv2", "numba", "numpy")
 MOST_MODULES_IN_A_FOLDER = 12
 

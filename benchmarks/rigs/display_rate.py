@@ -20,10 +20,10 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget, QOpenGLWidget  # type: ignore[attr-defined] # where Qt 6 has it
 
 from benchmarks.rigs.engines import perfect_calibration
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.hardware.rig import SIMULATED
 from napari_elsplus.widgets.live.panel import TICK_MS, LivePanel
-from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

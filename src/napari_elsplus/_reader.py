@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import napari
 from napari.utils.notifications import show_info, show_warning
 
+from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus._view import view_opened_layers
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
@@ -17,7 +18,6 @@ from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
 from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
-from napari_elsplus.widgets.shared.problems import notify_errors, problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

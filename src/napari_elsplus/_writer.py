@@ -10,6 +10,7 @@ import napari
 import numpy as np
 import pint
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
@@ -17,7 +18,6 @@ from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.common_axes import adopted_axes
 from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.viewing.provenance import provenance_of
-from napari_elsplus.widgets.shared.problems import notify_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,9 +14,9 @@ from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from qtpy.QtGui import QDragEnterEvent, QDropEvent, QWheelEvent
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
-from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
 
 TESTS = Path(__file__).parents[1]

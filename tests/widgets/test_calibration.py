@@ -17,6 +17,7 @@ import tifffile
 from napari.settings import get_settings
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
@@ -38,7 +39,6 @@ from napari_elsplus.simulation.truth import true_calibration
 from napari_elsplus.widgets.calibration.bundle_layers import IMAGE, OUTLINES
 from napari_elsplus.widgets.calibration.history import HistoryDialog
 from napari_elsplus.widgets.calibration.panel import CalibrationPanel
-from napari_elsplus.widgets.shared.problems import problems
 from pairs import write_pair
 from processes import exists
 from small_rig import small_calibration

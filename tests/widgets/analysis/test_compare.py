@@ -11,11 +11,11 @@ import tifffile
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
+from napari_elsplus._problems import problems
 from napari_elsplus._view import SETTLED_MS
 from napari_elsplus.processing.analysis.line_profiles import line_profiles
 from napari_elsplus.processing.images.sectioning import Mode, Sectioner
 from napari_elsplus.widgets.analysis.compare import BLINK, DIFFERENCE, ComparePanel
-from napari_elsplus.widgets.shared.problems import problems
 from napari_elsplus.widgets.shared.window.main_window import main_window
 from pairs import calibration, frames, write_pair
 

@@ -14,11 +14,11 @@ from npe2 import PluginManifest
 from qtpy.QtCore import QSize
 from qtpy.QtWidgets import QPushButton, QScrollArea, QWidget
 
+from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
 from napari_elsplus.widgets.dock.panel import FIRST, PANELS
 from napari_elsplus.widgets.shared.panel import find_panel
-from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from pairs import write_pair
 
 PLUGIN = "napari-elsplus"

@@ -7,9 +7,9 @@ import pytest
 import tifffile
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QLineEdit, QPushButton
 
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.widgets.analysis.axial import MANUAL
-from napari_elsplus.widgets.shared.problems import problems
 from pairs import frames, write_pair
 
 PLUGIN = "napari-elsplus"

@@ -21,6 +21,7 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QLineEdit, QWidget
 
 import pairs
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.live_images import display_layout
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.acquisition.link.client import EngineClient
@@ -39,7 +40,6 @@ from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.live.panel import LivePanel
 from napari_elsplus.widgets.shared.calibration_state import AMBER
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.problems import problems
 from processes import exists
 from small_rig import SmallRig, small_calibration
 

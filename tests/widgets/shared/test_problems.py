@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from qtpy.QtWidgets import QWidget
 
-from napari_elsplus.widgets.shared.problems import problems
+from napari_elsplus._problems import problems
 
 
 def test_an_error_that_several_panels_meet_is_shown_once(qtbot, said):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from magicgui.widgets import ComboBox, FloatSpinBox
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import write_json
 from napari_elsplus.io.formats.registry import AXIAL_RESPONSES, PICTURE, TABLE
@@ -42,7 +43,6 @@ from napari_elsplus.widgets.shared.panel import (
     push_button,
     set_enabled,
 )
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
 
 if TYPE_CHECKING:

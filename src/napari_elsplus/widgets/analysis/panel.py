@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.io.formats.registry import dialog_filter
 from napari_elsplus.widgets.shared.files import choose_file_to_write
 from napari_elsplus.widgets.shared.panel import Panel, push_button, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.work import Work
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from magicgui.widgets import ComboBox
 from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QSizePolicy
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
@@ -45,7 +46,6 @@ from napari_elsplus.widgets.shared.panel import (
     set_enabled,
 )
 from napari_elsplus.widgets.shared.plots import Curve
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.shapes import prepare_shapes
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from qtpy.QtWidgets import (
     QDoubleSpinBox,
     QFormLayout,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QSpinBox,
@@ -24,7 +23,7 @@ from napari_elsplus.instrument.optics import MAX_BUNDLE_UM, PRESETS
 from napari_elsplus.processing.calibration.step import Capture, StepState
 from napari_elsplus.processing.calibration.steps import OFFSET, calibration_steps
 from napari_elsplus.viewing.calibration_script import MeasurementSource
-from napari_elsplus.widgets.shared.panel import panel_layout, pin_below, text_label
+from napari_elsplus.widgets.shared.panel import button_row, panel_layout, pin_below, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.rig_choice import preset_label
 from napari_elsplus.widgets.shared.window.keys import key_name
@@ -330,7 +329,7 @@ class Form:
 
     def _lay_out(self, panel: QWidget, work: QWidget) -> None:
         layout = panel_layout(panel)
-        layout.addLayout(_row(self.rig, self.connect_button))
+        layout.addLayout(button_row(self.rig, self.connect_button))
         layout.addWidget(self.preset)
         layout.addLayout(_grid(*self.steps.values()))
         optics = {
@@ -341,8 +340,8 @@ class Form:
         for text, field in optics.items():
             field.setAccessibleName(text)
         layout.addLayout(_grid(*map(QLabel, optics), *optics.values()))
-        layout.addLayout(_row(self.measure, self.follow_button, self.from_file, self.from_layer))
-        layout.addLayout(_row(self.accept, self.discard, self.undo, self.next_step))
+        layout.addLayout(button_row(self.measure, self.follow_button, self.from_file, self.from_layer))
+        layout.addLayout(button_row(self.accept, self.discard, self.undo, self.next_step))
         layout.addWidget(self.explanation)
         self._options = QFormLayout()
         self._options.addRow("target offset (µm)", self.target)
@@ -384,10 +383,3 @@ def _grid(*widgets: QWidget) -> QGridLayout:
         grid.addWidget(widget, *divmod(index, COLUMNS))
         grid.setColumnStretch(index % COLUMNS, 1)
     return grid
-
-
-def _row(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    for widget in widgets:
-        row.addWidget(widget)
-    return row

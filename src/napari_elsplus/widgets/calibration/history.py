@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QPushButton, QVBoxLayout
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.widgets.shared.calibration_state import amber
 from napari_elsplus.widgets.shared.files import choose_file_to_write, choose_folder
 from napari_elsplus.widgets.shared.panel import text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.workflows.calibration_report.history import CalibrationHistory, calibration_history
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from napari.utils.notifications import show_info
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import ElsPlusError, InputError
 from napari_elsplus.hardware.rig_files import is_simulated
@@ -31,7 +32,6 @@ from napari_elsplus.widgets.shared.choosing import frames_of
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write
 from napari_elsplus.widgets.shared.panel import copy_as_script, timer
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.rig_choice import remember_rig, remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.keys import bind_keys
 from napari_elsplus.widgets.shared.work import Work
@@ -74,8 +74,7 @@ class CalibrationPanel(EnginePanel):
         self._following: measuring.OffsetFollowing | None = None
         self._saved: Calibration | None = None
         self._known: tuple[Settings | None, str | None, dict[str, str]] = (None, None, {})
-        self.sharing = Sharing(self.connection)
-        self._bundle = BundleLayers(viewer)
+        self.sharing, self._bundle = Sharing(self.connection), BundleLayers(viewer)
         self.work = Work(self.refresh, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()

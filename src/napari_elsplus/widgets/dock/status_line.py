@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel, QToolButton, QWidget
 
+from napari_elsplus._problems import problems
 from napari_elsplus.hardware.parking import LASER_OFF, ParkStage
 from napari_elsplus.io.settings import active_calibration
 from napari_elsplus.processing.compilation import compilation_remark
 from napari_elsplus.widgets.shared.calibration_state import amber, calibration_lines
 from napari_elsplus.widgets.shared.panel import text_label
-from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from napari_elsplus.acquisition.engine.status import Status

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_info
 
+from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus._view import fit_visible_layers
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.instrument.scanning import lag_advice
@@ -18,7 +19,6 @@ from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead, read_un
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
-from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from magicgui.widgets import ComboBox, FloatSpinBox, SpinBox
 from napari.utils.notifications import show_info
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.acquisition.engine.status import Settings
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
@@ -30,7 +31,6 @@ from napari_elsplus.widgets.shared.panel import (
     text_label,
     timer,
 )
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import RequestBar
 from napari_elsplus.widgets.shared.rig_choice import preset_label, remember_rig, remembered_rig, remembered_settings
 from napari_elsplus.widgets.shared.window.keys import bind_keys, key_name

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_info, show_warning
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus._view import HiddenLayers
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import read_calibration
@@ -25,7 +26,6 @@ from napari_elsplus.widgets.shared.choosing import chosen_image, is_uncalibrated
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.files import choose_file_to_read, choose_file_to_write, note_folder
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.window import closing
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 from napari_elsplus.widgets.shared.work import Work

@@ -4,10 +4,10 @@ The names exported here, and those of :mod:`napari_elsplus.widgets.shared.plots`
 packages: see ``docs/extending-dock-widget.md``.
 """
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.widgets.shared.connection import Connection
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import Panel, button_row, copy_as_script, form_layout, set_enabled
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
 
 __all__ = [

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from napari.utils.notifications import show_info
 
+from napari_elsplus._problems import notify_errors
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from napari_elsplus.widgets.shared.calibration_state import measured_lag
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.panel import Panel
-from napari_elsplus.widgets.shared.problems import notify_errors
 from napari_elsplus.widgets.shared.requests import PendingRequests
 from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
 

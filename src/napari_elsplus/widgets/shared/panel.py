@@ -12,10 +12,10 @@ from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent, QTimer
 from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QLayout, QLineEdit, QVBoxLayout, QWidget
 
+from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
-from napari_elsplus.widgets.shared.problems import notify_errors, problems
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
 from napari_elsplus.widgets.shared.window.scrolling import PanelScrollArea
 
@@ -250,11 +250,11 @@ def pin_below(panel: QWidget, row: QLayout) -> None:
     scroll.below = row
 
 
-def button_row(*buttons: Widget) -> QHBoxLayout:
-    """Return a horizontal layout of buttons."""
+def button_row(*buttons: Widget | QWidget) -> QHBoxLayout:
+    """Return a horizontal layout of buttons, of magicgui or Qt."""
     row = QHBoxLayout()
     for button in buttons:
-        row.addWidget(button.native)
+        row.addWidget(button if isinstance(button, QWidget) else button.native)
     return row
 
 

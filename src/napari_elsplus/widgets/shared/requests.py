@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QProgressBar
 
+from napari_elsplus._problems import problems
 from napari_elsplus.errors import CancelledError, ElsPlusError, error_message
 from napari_elsplus.widgets.shared.panel import timer
-from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable

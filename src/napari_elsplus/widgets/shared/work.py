@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from napari.qt.threading import create_worker
 from qtpy.QtWidgets import QGridLayout, QProgressBar, QPushButton, QWidget
 
+from napari_elsplus._problems import problems
 from napari_elsplus.errors import ElsPlusError, InputError, error_message
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.widgets.shared.panel import panel_of, text_label, timer
-from napari_elsplus.widgets.shared.problems import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
