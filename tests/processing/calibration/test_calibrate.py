@@ -192,8 +192,20 @@ def test_background_is_the_mean_and_drift_is_told() -> None:
     drifting = frames + np.linspace(0, 3, 20)[:, None, None]
     with pytest.raises(MeasurementError, match=r"background drifts by \d+\.\d %"):
         measure_background(drifting)
+    with pytest.raises(MeasurementError, match=r"background drifts by \d+\.\d %"):
+        measure_background(drifting[::10])
     with pytest.raises(MeasurementError, match="100 % of the background is saturated"):
         measure_background(np.full((5, 40, 60), 255, np.uint8))
+
+
+def test_light_that_flickers_is_no_drift() -> None:
+    """Of ten frames whose light scatters by 6 % the halves differ by more than a drift may, in a fifth of all."""
+    steady = RIG.background(10).astype(np.float64)
+    for seed in range(40):
+        light = np.random.default_rng(seed).normal(1, 0.06, 10)
+        measure_background(steady * light[:, None, None])
+    with pytest.raises(MeasurementError, match="background drifts by"):
+        measure_background(steady * (light + np.linspace(0, 1, 10))[:, None, None])
 
 
 def test_background_that_is_given_is_used_by_line_and_sweep() -> None:

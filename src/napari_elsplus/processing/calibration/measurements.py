@@ -52,6 +52,8 @@ SATURATED_FRAMES: Final = 0.5
 """Share of the frames in which such a pixel is saturated; chosen, for light that changes while it is taken."""
 MAX_DRIFT: Final = 0.05
 """Largest relative change of the mean level between halves of the frames; chosen, above that of a warm laser."""
+DRIFT_SIGMAS: Final = 3.0
+"""Standard deviations by which it exceeds that limit where it is not by chance, of light that flickers; chosen."""
 MOVING_SIGMAS: Final = 10.0
 """Robust standard deviations by which pixels are brighter where light moves, and where a line stands in a background;
 chosen: noise of pixels and rows stays below."""
@@ -151,10 +153,14 @@ def _movement(frames: Frames) -> tuple[float, float]:
 def _drift(frames: Frames, name: str) -> float:
     """Return the relative change of the mean level from the first half of the frames to the second, unless large."""
     half = len(frames) // 2
-    levels = [float(np.mean(np.asarray(frames[k][::4, ::4], np.float64))) for k in range(len(frames))]
-    first, second = (float(np.mean(part)) for part in (levels[: max(half, 1)], levels[half:]))
-    drift = (second - first) / max(abs(first), 1.0)
-    if abs(drift) > MAX_DRIFT:
+    levels = np.array([np.mean(np.asarray(frames[k][::4, ::4], np.float64)) for k in range(len(frames))])
+    parts = levels[: max(half, 1)], levels[half:]
+    steps = np.concatenate([np.diff(part) for part in parts])  # within the halves, which a drift hardly changes
+    variance = float(np.square(steps).mean()) / 2 if len(steps) else 0.0
+    first, second = (float(part.mean()) for part in parts)
+    level = max(abs(first), 1.0)
+    drift, sigma = (second - first) / level, np.sqrt(variance * sum(1 / len(part) for part in parts)) / level
+    if abs(drift) - DRIFT_SIGMAS * sigma > MAX_DRIFT:
         raise MeasurementError(
             f"the {name} drifts by {100 * drift:.1f} % while it is taken", "let laser and camera warm up"
         )

@@ -95,6 +95,23 @@ def test_lines_that_differ_by_chance_are_in_the_uncertainty() -> None:
     assert np.std(gains) == pytest.approx(np.mean(chances), rel=0.5)
 
 
+def test_stray_light_that_differs_between_the_views_is_no_gain() -> None:
+    """One level was taken for dark in both views: two grey levels of stray light between them moved the gain by 4 %."""
+    instrument = Instrument.of("240hz")
+    volts = sweep_volts(instrument)[::8]
+    gains = []
+    for stray in (0.0, 2.0):
+        scenes = transmission(instrument, seed=61), dark_tube(instrument, seed=63), standing_line(instrument, volts)
+        bundle, background, sweep = (
+            [np.rint(frame + stray * np.linspace(-1, 1, frame.shape[1]) ** 3) for frame in islice(frames, count)]
+            for frames, count in zip(scenes, (4, 8, len(volts)), strict=True)
+        )
+        draft = measure(bundle=bundle, background=background, sweep=sweep, volts=volts)
+        assert draft.calibration.bundle is not None
+        gains.append(draft.calibration.bundle.residual_gain)
+    assert gains[1] == pytest.approx(gains[0], rel=1e-3)
+
+
 def test_light_of_cores_at_the_edges_of_bands_is_no_error_of_the_gain() -> None:
     """Bands of rows scatter by cores that lie at their edges: 0.08 % were stated, 0.04 % were true."""
     instrument = Instrument.of(

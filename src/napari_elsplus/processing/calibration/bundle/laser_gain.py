@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy import ndimage
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
 from napari_elsplus.processing.calibration.bundle.gain import ratio_of_light
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 REACH_WIDTHS: Final = 6.0
 """Rows about the line that are used, in standard deviations of its Gaussian; chosen: in a distorted or turned view the
 line is a row or two off the window's middle, of which a narrower one takes 0.1 to 0.4 % of its light."""
+FAR_WIDTHS: Final = 18.0
+"""Rows from the line beyond which a pixel shows the darkness under it, in the same; chosen: of the line's halo as much
+of either view is subtracted as dark."""
 LAMP_GAIN: Final = 0.02
 """Standard deviation of the gain in the lamp's light about that in the fluorescence's, relative; chosen: that of the
 rigs that are drawn at random, up to 3 %."""
@@ -53,7 +57,7 @@ to 0.0009 in eight rigs (seeds 8001, 8005, 8019, 8021, 8034, 8039, 8040, 8056), 
 LEFT_OVER: Final = 2e-4
 """Standard deviation of the gain by a laser of stable power; measured: on the same rigs."""
 MIN_LINES: Final = 3
-"""For a scatter of lines; chosen."""
+"""For a scatter of lines, and for the darkness of a pixel; chosen."""
 ROW_SHAPE_DEGREE: Final = 4
 """Of the polynomial that brings the rows of a flat field by the sweep to one level; chosen."""
 MIN_WEIGHT: Final = 5.0
@@ -133,12 +137,15 @@ class LightCollector:
 
     Notes
     -----
-    The background is not taken off: it was scanned, and contains less light of the residual view than of the confocal.
+    Darkness is what the pixels show while the line stands far from them: black level, and stray light, which differs
+    between the views. The background is not taken off: it was scanned, and contains less light of the residual view
+    than of the confocal.
     """
 
     def __init__(self, shape: tuple[int, ...], split: int) -> None:
         self._views = slice(0, split), slice(split, shape[1])
-        self._light, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._light, self._weight, self._dark = np.zeros((3, *shape), np.float32)
+        self._dark_frames = np.zeros(shape, np.float32)
         self._lines: list[tuple[float, ...]] = []
 
     def add(self, frame: NDArray[np.generic], line: Line, view_offset: ViewOffset) -> None:
@@ -159,6 +166,10 @@ class LightCollector:
             reach = REACH_WIDTHS * line.width_rows * stretch
             along = np.arange(part.start, part.stop) - line.column - across
             where = (row + down + (line.slope + turn) * along + line.bow * np.square(along)).astype(np.float32)
+            far = FAR_WIDTHS / REACH_WIDTHS * reach
+            for rows in (slice(max(int(where.min() - far), 0)), slice(max(int(where.max() + far) + 2, 0), None)):
+                self._dark[rows, part] += frame[rows, part]
+                self._dark_frames[rows, part] += 1
             first = max(int(where.min() - reach), 0)
             band = slice(first, min(int(where.max() + reach) + 2, len(frame)))
             if band.start >= band.stop:
@@ -179,22 +190,28 @@ class LightCollector:
         self._lines.append(tuple(found))
 
     def swept(self, unlit: NDArray[np.uint8], background: Image | None = None, clipped: int = 0) -> SweptLight:
-        """Return the light above the level of the pixels that none reaches.
+        """Return the light above darkness.
 
         Parameters
         ----------
         unlit : numpy.ndarray
-            (rows, cols), 1 in these pixels.
+            (rows, cols), 1 in pixels that no light reaches: their level is the darkness of rows near all lines.
         background : numpy.ndarray, optional
             (rows, cols) mean frame of the dark tube, which shows the hot pixels: their light would count in each line.
         clipped : int
             Lines that were not added, as their core is saturated.
         """
-        dark, lit = unlit > 0, HotPixels(background).mended(self._light)
-        level = lit[dark].sum(dtype=np.float64) / max(self._weight[dark].sum(dtype=np.float64), 1e-9)
-        image = lit - np.float32(level) * self._weight
+        none = unlit > 0
+        level = self._light[none].sum(dtype=np.float64) / max(self._weight[none].sum(dtype=np.float64), 1e-9)
+        seen = self._dark_frames >= MIN_LINES
+        dark = np.where(seen, self._dark / np.maximum(self._dark_frames, 1), np.float32(level))
+        image = HotPixels(background).mended(self._light - self._weight * dark)
         lines = np.array(sorted(self._lines), np.float64).reshape(-1, 7)
-        above_dark = lines[:, 4::2] - level * lines[:, 3::2]
+        rows = np.clip(lines[:, :1] + lines[:, 2:3] * (0, 1), 0, len(dark) - 1).astype(np.intp)
+        window = round(float(np.median(lines[:, 3])) / self._views[0].stop) | 1
+        by_rows = np.stack([dark[:, part].mean(axis=1) for part in self._views], axis=1)
+        levels = ndimage.uniform_filter1d(by_rows, window, axis=0)
+        above_dark = lines[:, 4::2] - np.take_along_axis(levels, rows, axis=0) * lines[:, 3::2]
         return SweptLight(image, self._weight, np.hstack([lines[:, :3], above_dark]), clipped)
 
 
