@@ -278,7 +278,10 @@ def test_what_unseen_bleaching_would_change_is_stated() -> None:
     assert f"ELS+ 10 dB lies {one_way.unseen_um:.1f} um farther" in axial_notes(one_way)[0]
     content = json.loads(json.dumps(axial_content(one_way)))  # of a file, from which nothing is printed
     assert content["light_lost"] is None
-    assert "bleaching is not seen, and the uncertainties do not contain it" in content["notes"][0]
+    assert (
+        "bleaching and slow beats of the light are not seen, and the uncertainties do not contain them"
+        in content["notes"][0]
+    )
     returned = np.append(depths, depths[0])
     once = axial_response(returned, *falling(returned))
     assert "fewer than 4 frames repeat a depth" in axial_notes(once)[0]  # before: no depth was recorded again

@@ -104,20 +104,24 @@ def _rise_note(response: AxialResponse) -> str:
 
 
 def _beat_note(response: AxialResponse) -> str:
-    if response.beat is None:
+    beat = response.beat
+    if beat is None:
         return ""
-    return (
-        f"warning: the light varies by +- {100 * response.beat.share:.1f} % every {response.beat.period_frames:.3g}"
-        " frames, as that of a lamp beats with the frame rate: corrected; use steady light, or another frame rate"
-    )
+    varies = f"warning: the light varies by +- {100 * beat.share:.1f} % every {beat.period_frames:.3g} frames"
+    if beat.slower:
+        return (
+            f"{varies}, or more slowly and by more: corrected as such, but a slower beat is not told from the response,"
+            " and the uncertainties do not contain it: record there and back in steady light, or at another frame rate"
+        )
+    return f"{varies}, as that of a lamp beats with the frame rate: corrected; use steady light, or another frame rate"
 
 
 def _bleaching_note(response: AxialResponse) -> str:
     if response.loss is None:
         level = "10 dB" if np.isfinite(response.els_10db.um) else "3 dB"
         return (
-            f"warning: fewer than {MIN_FREEDOM + 1} frames repeat a depth: bleaching is not seen, and the uncertainties"
-            " do not contain it; if"
+            f"warning: fewer than {MIN_FREEDOM + 1} frames repeat a depth: bleaching and slow beats of the light are"
+            " not seen, and the uncertainties do not contain them; if"
             f" {100 * ASSUMED_LOSS:.0f} % of the light was lost in the scan, ELS+ {level} lies"
             f" {response.unseen_um:.1f} um farther: record the scan there and back"
         )

@@ -305,7 +305,7 @@ def axial_response(
         return [float(np.nan_to_num(other.um - drop.um)) for drop, other in zip(drops, others, strict=True)]
 
     by_fading = changes(np.exp(rate * np.arange(len(depths))))
-    by_loss = () if loss is None else (by_fading, changes(loss.gains(1.0) / gains))
+    by_loss = () if loss is None else (by_fading, *map(changes, (loss.gains(1.0) / gains, *loss.slow_errors())))
     for each in (*by_loss, *map(changes, () if beat is None else beat.errors)):
         drops = [drop.with_systematic(um) for drop, um in zip(drops, each, strict=True)]
     tilt = None if halves is None else plate_tilt(depths, halves, ls_fall)

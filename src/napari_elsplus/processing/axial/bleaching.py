@@ -23,6 +23,10 @@ MIN_FREEDOM: Final = 3
 """Degrees of freedom below which no loss is stated; chosen: fewer repeated frames do not show their own scatter."""
 MIN_BY_LIGHT: Final = 2.0
 """Loss over what the plate's distance explains of it, below which it is not corrected; chosen: most of it is light."""
+SLOW_CYCLES: Final = (1.0, 1.5, 2.0, 3.0)
+"""In a scan, of light that varies slowly, alike before and after its turn; chosen: faster beats are told."""
+MIN_SLOW_SIGMAS: Final = 3.0
+"""Standard deviations by which successive frames vary alike where light does so slowly; chosen."""
 MIN_LOSS_SIGMAS: Final = 4.0
 """Standard deviations below which no loss is corrected; chosen: with three degrees of freedom 3 % exceed them."""
 
@@ -42,6 +46,8 @@ class LightLoss(NamedTuple):
         One standard deviation of the law by which the light falls: 0 is an exponential, 1 by as much in every frame.
     by_distance : float
         Part of the rate that a plate whose distance differs between frames of one depth explains, magnitude.
+    slow : float
+        Standard deviation, relative, of light that varies slowly about that loss; 0 if frames of one depth show none.
     """
 
     per_frame: float
@@ -49,6 +55,7 @@ class LightLoss(NamedTuple):
     frames: int
     law_sigma: float = 0.0
     by_distance: float = 0.0
+    slow: float = 0.0
 
     @property
     def uncertainty(self) -> float:
@@ -97,6 +104,16 @@ class LightLoss(NamedTuple):
         falls = self._corrected * np.arange(self.frames, dtype=np.float64)
         return np.asarray(np.exp(falls - sigmas * self.law_sigma * _bend(falls)), np.float64)
 
+    def slow_errors(self) -> list[Curve]:
+        """Return the factors (frames,) by which light that varies slowly may err, one standard deviation each.
+
+        Frames of one depth show what differs before and after the turn of a scan there and back, which their mean takes
+        out. What is alike before and after it is as much on average, and hidden.
+        """
+        from_turn = 2 * np.pi * np.linspace(-0.5, 0.5, self.frames)
+        amplitude = self.slow * np.sqrt(2 / len(SLOW_CYCLES))
+        return [np.exp(amplitude * np.cos(cycles * from_turn)) for cycles in SLOW_CYCLES if self.slow]
+
 
 def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
     """Return the loss of light in a scan; None where too few depths were recorded more than once.
@@ -123,7 +140,8 @@ def light_loss(depths_um: Curve, ls: Curve, els: Curve) -> LightLoss | None:
     of_ls = _rate(depths, level, bright)
     if of_ls is None:
         return None
-    loss = LightLoss(*of_ls, len(depths), _law_sigma(of_ls[0], depths, level, bright))
+    rate, scatter, slow = of_ls
+    loss = LightLoss(rate, scatter, len(depths), _law_sigma(rate, depths, level, bright), slow=slow)
     both = np.flatnonzero((ls > MIN_SIGNAL * ls.max()) & (els > MIN_SIGNAL * els.max()))
     kept = np.log(els[both] / ls[both])
     of_kept = _rate(depths, kept, both)
@@ -159,10 +177,11 @@ def _law_sigma(rate: float, depths: Curve, level: Curve, frames: NDArray[np.intp
     return float((1 + seen @ seen / noise) ** -0.5)
 
 
-def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float, float] | None:
+def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float, float, float] | None:
     """Return the rate at which a logarithm falls per frame at the same depth, with its standard deviation by scatter.
 
-    None of too few frames that repeat a depth.
+    Third, the standard deviation of what successive frames have in common beyond that. None of too few frames that
+    repeat a depth.
     """
     _, place, count = np.unique(depths[frames], return_inverse=True, return_counts=True)
     again = count[place] > 1
@@ -174,7 +193,10 @@ def _rate(depths: Curve, level: Curve, frames: NDArray[np.intp]) -> tuple[float,
     spread = float(elapsed @ elapsed)
     rate = -float(elapsed @ fallen) / spread
     left = fallen + rate * elapsed
-    return rate, float(np.sqrt(left @ left / freedom / spread))
+    square = float(left @ left)
+    shared = float(left[1:] @ left[:-1])  # of noise that is not shared 0 on average; each pair is there twice
+    slow = np.sqrt(shared / len(left)) if shared > MIN_SLOW_SIGMAS * square * np.sqrt(2 / len(left)) else 0.0
+    return rate, float(np.sqrt(square / freedom / spread)), float(slow)
 
 
 def _from_mean_of_group(values: Curve, group: NDArray[np.intp]) -> Curve:

@@ -80,7 +80,7 @@ def find_contact(of_ls: DepthMeans, of_els: DepthMeans) -> Contact:
     level_um = 0.0 if first else min(each.level_um for each in bounds)
     zero = int(np.searchsorted(depth, 0.0))
     if first <= zero <= end and zero < last and depth[zero] == 0:
-        return Contact(zero, _within_step_um(depth, zero) if zero else level_um / sqrt(3), level_um)
+        return Contact(zero, _within_step_um(depth, zero) if zero else level_um, level_um)
     if end == last:
         return Contact(last, 0.0, level_um)
     if first == 0:

@@ -47,12 +47,15 @@ class LightBeat(NamedTuple):
         (T,) factors that make up for it.
     errors : numpy.ndarray
         (3, T) factors by which these err, one standard deviation each: of amplitude, phase and period.
+    slower : bool
+        True if a slower beat, which is not told from the response, would explain the frames as well.
     """
 
     share: float
     period_frames: float
     gains: Curve
     errors: Curve
+    slower: bool = False
 
 
 def light_beat(depths_um: Curve, ls: Curve) -> LightBeat | None:
@@ -85,12 +88,14 @@ def light_beat(depths_um: Curve, ls: Curve) -> LightBeat | None:
     smooth = np.linalg.svd(np.c_[falling, time[bright]], full_matrices=False)[0]
     level = np.log(ls[bright])
     level -= smooth @ (smooth.T @ level)
-    best_gain, best = 0.0, None
-    for cycles in np.arange(_OVERSAMPLING, _OVERSAMPLING * len(ls) // _MIN_PERIOD_FRAMES) / _OVERSAMPLING:
+    best_gain, slower_gain, best = 0.0, 0.0, None
+    for cycles in np.arange(1, _OVERSAMPLING * len(ls) // _MIN_PERIOD_FRAMES) / _OVERSAMPLING:
         turn = 2 * np.pi * cycles / len(ls) * time
         harmonic = np.stack([np.cos(turn), np.sin(turn)], axis=1)
         factors, curvature, gain = _fit(harmonic[bright], level, smooth)
-        if np.linalg.eigvalsh(curvature)[0] > _MIN_LEFT * len(bright) / 2 and gain > best_gain:
+        if np.linalg.eigvalsh(curvature)[0] <= _MIN_LEFT * len(bright) / 2:
+            slower_gain = max(gain, slower_gain)
+        elif gain > best_gain:
             turning = turn * (harmonic @ (factors[1], -factors[0]))  # by a small change of the period
             best_gain, best = gain, (cycles, np.c_[harmonic, turning])
     if best is None:
@@ -102,7 +107,8 @@ def light_beat(depths_um: Curve, ls: Curve) -> LightBeat | None:
         return None
     values, axes = np.linalg.eigh(curvature)
     errors = np.exp(np.clip(terms @ axes * np.sqrt(variance / np.maximum(values, 1e-9)), -1, 1)).T
-    return LightBeat(float(np.hypot(*factors[:2])), float(len(ls) / cycles), np.exp(-terms @ factors), errors)
+    slower = (best_gain - slower_gain) / (2 * variance) < _MIN_LOG_ODDS
+    return LightBeat(float(np.hypot(*factors[:2])), float(len(ls) / cycles), np.exp(-terms @ factors), errors, slower)
 
 
 def _fit(terms: Curve, level: Curve, smooth: Curve) -> tuple[Curve, Curve, float]:
