@@ -112,6 +112,12 @@ def test_stray_light_that_differs_between_the_views_is_no_gain() -> None:
     assert gains[1] == pytest.approx(gains[0], rel=1e-3)
 
 
+def test_a_sweep_of_saturated_lines_alone_shows_no_light() -> None:
+    light = LightCollector((50, 80), 40).swept(np.ones((50, 80), np.uint8), clipped=3)
+    assert light.mostly_clipped
+    assert (len(light.lines), light.chance(25.0, 20.0), light.image.any()) == (0, 0.0, False)
+
+
 def test_light_of_cores_at_the_edges_of_bands_is_no_error_of_the_gain() -> None:
     """Bands of rows scatter by cores that lie at their edges: 0.08 % were stated, 0.04 % were true."""
     instrument = Instrument.of(

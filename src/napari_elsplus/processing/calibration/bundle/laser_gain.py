@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import ndimage
 
 from napari_elsplus.processing.calibration.bundle.core_matching import COMPARED_DISC
 from napari_elsplus.processing.calibration.bundle.gain import ratio_of_light
@@ -207,11 +206,7 @@ class LightCollector:
         dark = np.where(seen, self._dark / np.maximum(self._dark_frames, 1), np.float32(level))
         image = HotPixels(background).mended(self._light - self._weight * dark)
         lines = np.array(sorted(self._lines), np.float64).reshape(-1, 7)
-        rows = np.clip(lines[:, :1] + lines[:, 2:3] * (0, 1), 0, len(dark) - 1).astype(np.intp)
-        window = round(float(np.median(lines[:, 3])) / self._views[0].stop) | 1
-        by_rows = np.stack([dark[:, part].mean(axis=1) for part in self._views], axis=1)
-        levels = ndimage.uniform_filter1d(by_rows, window, axis=0)
-        above_dark = lines[:, 4::2] - np.take_along_axis(levels, rows, axis=0) * lines[:, 3::2]
+        above_dark = lines[:, 4::2] - [dark[:, part].mean() for part in self._views] * lines[:, 3::2]
         return SweptLight(image, self._weight, np.hstack([lines[:, :3], above_dark]), clipped)
 
 
