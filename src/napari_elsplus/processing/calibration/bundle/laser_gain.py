@@ -174,18 +174,12 @@ class LightCollector:
             if band.start >= band.stop:
                 found += [0.0, 0.0]
                 continue
-            weight = np.arange(band.start, band.stop, dtype=np.float32)[:, None] - where
-            weight *= np.float32(1 / reach)
-            np.square(weight, out=weight)
-            np.square(weight, out=weight)  # flat in its middle
-            np.subtract(1, weight, out=weight)
-            np.maximum(weight, 0, out=weight)
-            np.square(weight, out=weight)
+            away = (np.arange(band.start, band.stop, dtype=np.float32)[:, None] - where) / np.float32(reach)
+            weight = np.square(np.maximum(1 - np.square(np.square(away)), 0))  # flat in its middle
+            light = weight * frame[band, part]
             self._weight[band, part] += weight
-            found.append(float(weight.sum()))
-            np.multiply(weight, frame[band, part], out=weight, casting="same_kind")
-            self._light[band, part] += weight
-            found.append(float(weight.sum()))
+            self._light[band, part] += light
+            found += [float(weight.sum()), float(light.sum())]
         self._lines.append(tuple(found))
 
     def swept(self, unlit: NDArray[np.uint8], background: Image | None = None, clipped: int = 0) -> SweptLight:
