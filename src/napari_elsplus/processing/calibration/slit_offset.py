@@ -198,6 +198,7 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
         The bundle images; by their centres alone they do not show where the line is.
     """
     line = _of_lines(offset.confocal, offset.residual, offset.split, pair, offset.unsteady_rows)
+    line = replace(line, rows=line.rows + _rows_by_distortion(line.confocal, pair))
     centre, confocal, sigma_rows = pair.confocal.centre, line.confocal, pair.alignment.centre_uncertainty_px
     row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
     rows, away_rows = _offset_of_cores(line, pair, centre[0]), line.rows - _offset_of_cores(line, pair, row)
@@ -226,6 +227,26 @@ def _of_lines(
     rows += residual.bowed_rows(columns[1], bend) - confocal.bowed_rows(columns[0], bend)
     sigma = float(np.linalg.norm((newey_west_sigma(influence, _NEIGHBOURS), SAMPLING_ROWS, unsteady_rows)))
     return SlitOffset(rows, sigma, confocal, residual, split, unsteady_rows)
+
+
+def _rows_by_distortion(line: Line, pair: BundlePair) -> float:
+    """Return how far below the straight line through it the distortion of the residual view puts a line at its centre.
+
+    Parameters
+    ----------
+    line : Line
+        In the confocal view.
+    pair : BundlePair
+        With the distortion.
+    """
+    if pair.alignment.distortion is None:
+        return 0.0
+    (row, column), radius_px = pair.confocal.centre, pair.confocal.diameter_px / 2
+    at = np.append(np.arange(*line.columns), column)
+    beside = at - line.column
+    rows = line.row + (line.slope + line.bend * beside) * beside - line.bend * line.mean_square_px
+    bent = pair.alignment.distortion[0] @ polynomial_terms((rows - row) / radius_px, (at - column) / radius_px)
+    return float(bent[-1] - np.polynomial.Polynomial.fit(at[:-1], bent[:-1], 1)(column))
 
 
 def _offset_of_cores(line: SlitOffset, pair: BundlePair, row: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -16,6 +17,7 @@ from napari_elsplus.processing.calibration.bundle.view_maps import ViewModel
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.measurements import measure_pair
 from napari_elsplus.processing.calibration.sections import apply_pair
+from napari_elsplus.processing.calibration.slit_offset import measure_offset, offset_at
 from napari_elsplus.processing.images.distortion import polynomial_terms
 
 SEEDS = (1, 2)
@@ -34,8 +36,8 @@ def source(at: np.ndarray, view: str, disturbed: str, share: float, rig: Rig) ->
     return middle + away * (1 + share * np.square(away).sum(axis=-1, keepdims=True) / unit**2)
 
 
-def distorted_frame(rig: Rig, disturbed: str, share: float) -> np.ndarray:
-    raw = rig.bundle(1)[0].astype(np.float32)
+def distorted_frame(rig: Rig, disturbed: str, share: float, frame: np.ndarray | None = None) -> np.ndarray:
+    raw = (rig.bundle(1)[0] if frame is None else frame).astype(np.float32)
     grid = np.stack(np.mgrid[: raw.shape[0], : raw.shape[1]], axis=-1).astype(np.float64)
     split = round((rig.left[1] + rig.right[1]) / 2)
     at = grid.copy()
@@ -125,3 +127,13 @@ def test_finely_sampled_views_are_aligned_although_distortion_displaces_the_rim_
     pair, _, _ = aligned(rig, disturbed, share)
     assert pair.alignment.model in models
     assert map_error_px(pair, rig, disturbed, share) < 0.03
+
+
+@pytest.mark.parametrize("share", [-0.01, 0.01])
+def test_a_line_beside_the_centre_of_a_distorted_view_gives_the_offset_at_the_centres(share: float) -> None:
+    """It is bent there, and the straight line through it was 0.06 rows off."""
+    rig = replace(bright_rig(1), tilt_deg=0.0)
+    pair = measure_pair(distorted_frame(rig, "right", share)[None])
+    line = measure_offset([distorted_frame(rig, "right", share, rig.line(1, 25.0)[0])], pair=pair)
+    line_alone = replace(pair, alignment=replace(pair.alignment, centre_uncertainty_px=1.0))
+    assert offset_at(line, line_alone).rows == pytest.approx(rig.right[0] - rig.left[0], abs=0.03)
