@@ -76,3 +76,11 @@ def test_noise_of_one_step_of_bits_that_lie_to_the_left_is_no_moving_light(shift
     random = np.random.default_rng(4)
     frames = np.rint(random.normal(20.2, 0.35, (20, 200, 400))).astype(np.uint16) << shift
     assert measure_background(frames).mean.mean() == pytest.approx(20.2 * 2**shift, rel=0.01)
+
+
+@pytest.mark.parametrize("black", [2, 3, 4])
+def test_noise_about_a_low_black_level_is_no_moving_light(black: int) -> None:
+    """Cut off at grey level 0, the noise of some pixels seems small by chance, where ten frames show it."""
+    random = np.random.default_rng(5)
+    frames = np.clip(np.rint(random.normal(black, 5, (10, 200, 400))), 0, 255).astype(np.uint8)
+    assert measure_background(frames).frames == 10

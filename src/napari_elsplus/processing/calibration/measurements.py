@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
+import cv2
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
@@ -62,6 +63,8 @@ MAX_MOVING: Final = 0.02
 dark tubes of seventeen rigs, 0.18 and more in sweeps of 12 to 400 lines."""
 MOVING_FRAMES, MOVING_STEP_PX = 100, 8
 """Frames that are searched for it, and the step between their rows and columns; chosen: some thousand pixels do."""
+NOISE_PX: Final = 9
+"""Width in which the noise of these pixels is averaged; chosen, over it the light of a dark tube hardly changes."""
 MIN_MOVING_FRAMES: Final = 5
 """For a robust standard deviation; chosen."""
 DARK_PERCENTILE: Final = 5.0
@@ -136,14 +139,17 @@ def _line_alone(frame: Image) -> Line | None:
 def _movement(frames: Frames) -> tuple[float, float]:
     """Return the share of pixels that are far brighter in single frames, and the pixels' typical noise in grey levels.
 
-    The frame with most of these pixels is left out: a flash of light moves nowhere.
+    The frame with most of these pixels is left out: a flash of light moves nowhere. A pixel's noise in few frames may
+    be small by chance: it is taken to be no less than that of the pixels around.
     """
     every = -(-len(frames) // MOVING_FRAMES)
     some = np.asarray([frames[k][::MOVING_STEP_PX, ::MOVING_STEP_PX] for k in range(0, len(frames), every)])
     step = int(np.gcd.reduce(some, axis=None)) if some.dtype.kind == "u" else 1  # of few bits that lie to the left
     above = some.astype(np.float32)
     above -= np.median(above, axis=0)
-    noise = np.maximum(robust_sigma(above, axis=0), MIN_NOISE * max(step, 1))
+    sigma = robust_sigma(above, axis=0).astype(np.float32)
+    around = np.sqrt(cv2.blur(np.square(sigma), (NOISE_PX, NOISE_PX)))
+    noise = np.maximum(np.maximum(sigma, around), MIN_NOISE * max(step, 1))
     lit = above > MOVING_SIGMAS * noise
     lit[np.count_nonzero(lit, axis=(1, 2)).argmax()] = False
     moving = float(lit.any(axis=0).mean()) if len(above) >= MIN_MOVING_FRAMES else 0.0
