@@ -200,7 +200,7 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
     line = _of_lines(offset.confocal, offset.residual, offset.split, pair, offset.unsteady_rows)
     line = replace(line, rows=line.rows + _rows_by_distortion(line.confocal, pair))
     centre, confocal, sigma_rows = pair.confocal.centre, line.confocal, pair.alignment.centre_uncertainty_px
-    row = confocal.row_at(centre[1]) + confocal.bowed_rows(centre[1], confocal.bend)
+    row = confocal.bent_row_at(centre[1])
     rows, away_rows = _offset_of_cores(line, pair, centre[0]), line.rows - _offset_of_cores(line, pair, row)
     beside_rows = np.linalg.norm(np.linalg.inv(pair.alignment.residual_to_confocal[:, :2])[0] - (1, 0))
     placed_rows = float(beside_rows * pair.confocal.centre_uncertainty_px)  # of a view that is turned or scaled
@@ -243,8 +243,7 @@ def _rows_by_distortion(line: Line, pair: BundlePair) -> float:
         return 0.0
     (row, column), radius_px = pair.confocal.centre, pair.confocal.diameter_px / 2
     at = np.append(np.arange(*line.columns), column)
-    beside = at - line.column
-    rows = line.row + (line.slope + line.bend * beside) * beside - line.bend * line.mean_square_px
+    rows = np.array([line.bent_row_at(each) for each in at.tolist()])
     bent = pair.alignment.distortion[0] @ polynomial_terms((rows - row) / radius_px, (at - column) / radius_px)
     return float(bent[-1] - np.polynomial.Polynomial.fit(at[:-1], bent[:-1], 1)(column))
 

@@ -146,6 +146,10 @@ class Line:
         """
         return bend * ((column - self.column) ** 2 - self.mean_square_px)
 
+    def bent_row_at(self, column: float) -> float:
+        """Return the row of the line with its own bend at a column."""
+        return self.row_at(column) + self.bowed_rows(column, self.bend)
+
     def influence_at(self, column: float) -> Floats:
         """Return the contribution of each run of columns to the error of the row at a column, shape (runs,)."""
         return np.asarray(self.influence[:, 0] + (column - self.column) * self.influence[:, 1], np.float64)
