@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -23,7 +23,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
-from napari_elsplus.processing.tracking.standing_pattern import stands_still, without_standing_pattern
+from napari_elsplus.processing.tracking.standing_pattern import tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -237,11 +237,7 @@ class RegistrationTracking(FrontEndImages):
                 tracked.append(once_more.add())
             return tracked, once_more
 
-        without = without_standing_pattern(image, registrar, len(poses))
-        if without is not None:
-            found, other = again(registrar, None, without)
-            if stands_still((tracker.links, image), (other.links, without), registrar, len(poses)):
-                poses, tracker, image = found, other, without
+        poses, tracker, image = tracked_without_pattern(poses, tracker, image, partial(again, registrar, None))
         frame, model = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES), tracker.model
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(tracker.links, registrar, frame)

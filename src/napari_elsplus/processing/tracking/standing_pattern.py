@@ -16,10 +16,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, TrackedPair
+    from napari_elsplus.processing.tracking.tracker import Tracker
 
     Image = NDArray[np.float32]
     Images = Callable[[int], Image]
+    Track = tuple[list[Pose], Tracker]
 
 MAX_SAMPLES: Final = 64
 """Frames, spread evenly, from which what stands still is estimated; chosen."""
@@ -36,6 +39,31 @@ around rings as bright as three times the tissue it is 0.16 to 0.29, where the p
 def evenly_spread(count: int) -> list[int]:
     """Return the indices of at most :data:`MAX_SAMPLES` of `count` frames, evenly spread."""
     return [int(index) for index in np.unique(np.linspace(0, count - 1, MAX_SAMPLES).astype(int))]
+
+
+def tracked_without_pattern(
+    poses: list[Pose], tracker: Tracker, image: Images, again: Callable[[Images], Track]
+) -> tuple[list[Pose], Tracker, Images]:
+    """Return the poses, tracker and images of a recording without what stands still, or those given if it is no better.
+
+    Parameters
+    ----------
+    poses : list of Pose
+        Of the recording as it is.
+    tracker : Tracker
+        That has estimated them.
+    image : callable
+        Returns the image (n, n) of a frame by its index.
+    again : callable
+        Tracks other images of all frames; returns their poses and tracker.
+    """
+    registrar, count = tracker.registrar, len(poses)
+    without = without_standing_pattern(image, registrar, count)
+    if without is not None:
+        found, other = again(without)
+        if stands_still((tracker.links, image), (other.links, without), registrar, count):
+            return found, other, without
+    return poses, tracker, image
 
 
 def without_standing_pattern(image: Images, registrar: Registrar, count: int) -> Images | None:

@@ -19,7 +19,7 @@ from napari_elsplus.processing.tracking.methods import TrackingMethod, prepared_
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.refinement import located, refine
-from napari_elsplus.processing.tracking.standing_pattern import stands_still, without_standing_pattern
+from napari_elsplus.processing.tracking.standing_pattern import tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -83,20 +83,20 @@ class FinishedTracking(TrackingMethod):
     def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
         """See :meth:`~.methods.TrackingMethod.refine`."""
         frames = np.unique(self._image_of_frame, return_index=True)[1].tolist()
-        poses, tracker, registrar, count = self._poses, self._tracker, self._registrar, len(frames)
+        registrar = self._registrar
 
         def one(index: int) -> NDArray[np.float32]:
             """Return the image of a frame that repeats no other."""
             return image(frames[index])
 
-        images: Callable[[int], NDArray[np.float32]] = one
-        without = without_standing_pattern(one, registrar, count)
-        if without is not None:
-            other, found = Tracker(registrar), list[Pose]()
-            for index in range(count):
-                self._add(other, found, without(index))
-            if stands_still((tracker.links, one), (other.links, without), registrar, count):
-                poses, tracker, images = found, other, without
+        def again(images: Callable[[int], NDArray[np.float32]]) -> tuple[list[Pose], Tracker]:
+            """Track other images of these frames."""
+            tracker, found = Tracker(registrar), list[Pose]()
+            for index in range(len(frames)):
+                self._add(tracker, found, images(index))
+            return found, tracker
+
+        poses, tracker, images = tracked_without_pattern(self._poses, self._tracker, one, again)
         graph = PoseGraph(FinishedNodeRegistration(registrar), prepared_frames(registrar, images, _MAX_HELD))
         refined = refine(located(poses, tracker.links, graph.grid.shutter), tracker.links, graph)
         return [_in_pixels_of(1 / registrar.binning, refined[k]) for k in self._image_of_frame]
