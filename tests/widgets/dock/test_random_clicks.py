@@ -40,7 +40,7 @@ PANELS = ("Rig", "Live", "Calibration")
 KINDS = (QAbstractButton, QComboBox, QSpinBox, QDoubleSpinBox)
 NEVER = ("rehears", "copy")
 """Buttons left alone: a rehearsal, which has tests of its own and takes the whole computer, and the clipboard."""
-ENDING = ("Disconnect", "Cancel", "Stop")
+ENDING = ("Disconnect", "Cancel", "Cancel calibration", "Stop")
 """Buttons clicked a tenth as often as others, so that streams and calibrations get on."""
 PAUSES_MS = (0, 5, 30, 200, 800)
 MAX_LAYERS = 20
@@ -122,6 +122,8 @@ def test_random_clicks_leave_no_traceback(make_napari_viewer_proxy, qtbot, tmp_p
     dialogs = QTimer()
     dialogs.timeout.connect(lambda: (one := QApplication.activeModalWidget()) and one.close())
     dialogs.start(300)
+    panels["Live"].form.start.native.click()
+    qtbot.waitUntil(lambda: panels["Live"].live, timeout=120_000)
     end_s = time.monotonic() + SECONDS
     clicks = live = 0
     while time.monotonic() < end_s and not tracebacks:
