@@ -136,6 +136,15 @@ def test_a_device_that_always_asks_for_time_does_not_get_all_of_it(monkeypatch) 
         control.Control(Busy([]), ENDS)
 
 
+@pytest.mark.parametrize("address", [2**64 - 2, 2**64 - 1])
+def test_an_address_beyond_the_memory_is_refused_for_writing_as_for_reading(address) -> None:
+    """Before: a camera whose stream interface lay at the end of its memory was a struct.error when it was opened."""
+    channel = control.Control(Liar([0x10000, 512, 512, address, 200]), ENDS)
+    for access in (lambda: channel.write_number(channel.sirm + 4, 0), lambda: channel.read_number(channel.sirm + 4)):
+        with pytest.raises(DeviceError, match="beyond its memory"):
+            access()
+
+
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next_one() -> None:
     class Late(Liar):
         def write(self, endpoint: int, data: bytes, timeout_ms: int) -> int:

@@ -5,6 +5,7 @@ Each test is a fault that a driver had which was tested only against a device of
 
 from __future__ import annotations
 
+import threading
 import time
 from struct import pack, unpack
 
@@ -425,3 +426,59 @@ def test_another_make_whose_program_was_killed_is_opened_again(standard) -> None
         begin = time.perf_counter()
         stream(camera, 3, Region(0, 0, 96, 640))
         assert time.perf_counter() - begin < 2
+
+
+@pytest.mark.parametrize("use", [
+    lambda camera: camera.start(),
+    lambda camera: camera.sensor,
+    lambda camera: camera.frame_rate_limits_hz,
+    lambda camera: camera.configure(Region(0, 0, 480, 640), slit_rows=5, frame_rate_hz=50),
+])  # fmt: skip
+def test_another_make_that_is_unplugged_is_one_line_and_is_closed(standard, use) -> None:
+    bench = standard(real_time=False)
+    camera = bench.open()
+    camera.configure(Region(0, 0, 480, 640), slit_rows=5, frame_rate_hz=50)
+    bench.plug.unplugged = True
+    with pytest.raises(DeviceError, match="unplugged"):
+        use(camera)
+    camera.close()
+
+
+def unavailable(name: str) -> type[StandardRegisters]:
+    """Make a camera that describes a feature which is not available, as some do until another one is set."""
+
+    class Lacking(StandardRegisters):
+        def describe(self) -> bytes:
+            node = f'Name="{name}">'.encode()
+            return (
+                super()
+                .describe()
+                .replace(node, node + b"<pIsAvailable>Never</pIsAvailable>", 1)
+                .replace(
+                    b'<Port Name="Device"/>',
+                    b'<IntSwissKnife Name="Never"><Formula>0</Formula></IntSwissKnife><Port Name="Device"/>',
+                )
+            )
+
+    return Lacking
+
+
+def test_default_settings_that_are_not_available_are_not_loaded(standard) -> None:
+    """Before: a traceback of the reader's own error."""
+    bench = standard(real_time=False, make=unavailable("UserSetLoad"))
+    bench.plug.camera.sensor.settings.gamma = True
+    with bench.open() as camera:
+        stream(camera, 3, Region(0, 0, 960, 1280), 50)
+        assert not bench.plug.camera.sensor.settings.gamma
+
+
+@pytest.mark.parametrize("name", ["AcquisitionStart", "AcquisitionFrameRate"])
+def test_a_feature_that_is_not_available_is_one_line_and_leaves_no_stream(standard, name) -> None:
+    """Before: a traceback of the reader's own error, and the stream's thread went on."""
+    with standard(real_time=False, make=unavailable(name)).open() as camera:
+        with pytest.raises((DeviceError, InputError), match=r"Acquisition|not available"):
+            stream(camera, 3, Region(0, 0, 960, 1280), 50)
+        assert "camera stream" not in {thread.name for thread in threading.enumerate()}
+        if name == "AcquisitionFrameRate":
+            with pytest.raises(DeviceError, match="not available"):
+                camera.frame_rate_limits_hz  # noqa: B018 - it is read

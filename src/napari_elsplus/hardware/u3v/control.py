@@ -107,8 +107,6 @@ class Control:
         DeviceError
             If the camera refuses, does not answer in time, or was unplugged.
         """
-        if address + count > TOP:
-            raise DeviceError(f"the camera points to {address:#x}, beyond its memory", "restart the camera")
         parts = []
         for done in range(0, count, self._read_payload):
             part = min(self._read_payload, count - done)
@@ -152,6 +150,8 @@ class Control:
         return self.read(address, 64).split(b"\0")[0].decode("ascii", "replace").strip()
 
     def _exchange(self, command: CommandPacket, address: int, what: int | bytes) -> bytes:
+        if address + (what if isinstance(what, int) else len(what)) > TOP:
+            raise DeviceError(f"the camera points to {address:#x}, beyond its memory", "restart the camera")
         busy_until_s = time.monotonic() + PENDING_TIMEOUT_S
         unanswered = 0
         with self._lock, translate_usb_errors("the camera"):

@@ -7,6 +7,7 @@ import lzma
 import struct
 import zipfile
 import zlib
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.errors import DeviceError, InputError
@@ -15,6 +16,8 @@ from napari_elsplus.hardware.u3v.control import MANIFEST
 from napari_elsplus.instrument.optics import LINE_RATE_HZ
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from napari_elsplus.hardware.protocols import Region
     from napari_elsplus.hardware.u3v.control import Control
 
@@ -92,6 +95,20 @@ def _unzip(data: bytes) -> bytes:
     return bytes(text)
 
 
+@contextmanager
+def _translate_errors() -> Iterator[None]:
+    """Turn the errors of the reader, of a feature that is not available for instance, into a `DeviceError`."""
+    from genicam.genapi import GenericException
+
+    try:
+        yield
+    except GenericException as error:
+        reason = str(error).partition(" (file")[0]
+        raise DeviceError(
+            f"the camera's description does not allow it ({reason})", "see the camera's manual"
+        ) from error
+
+
 class GenicamFeatures:
     """Features by their standard names; see `napari_elsplus.hardware.u3v.camera.Features`.
 
@@ -132,11 +149,13 @@ class GenicamFeatures:
         return 1 / self._line_rate_hz
 
     @property
+    @_translate_errors()
     def frame_rate_hz(self) -> float:
         """Frame rate that the camera reports, in Hz."""
         return float(self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs").value)
 
     @property
+    @_translate_errors()
     def sensor(self) -> SensorLimits:
         """Size of the sensor, and its steps; the region is moved to the sensor's corner, and has to be set anew."""
         for name in ("OffsetX", "OffsetY"):
@@ -146,11 +165,13 @@ class GenicamFeatures:
         return SensorLimits(int(height.max), int(width.max), *steps)
 
     @property
+    @_translate_errors()
     def frame_rate_limits_hz(self) -> tuple[float, float]:
         """Lowest and highest frame rate, in Hz."""
         rate = self._node("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
         return float(rate.min), float(rate.max)
 
+    @_translate_errors()
     def configure(self, region: Region, exposure_s: float, frame_rate_hz: float, gain_db: float) -> None:
         """Set the camera; see :meth:`napari_elsplus.hardware.u3v.camera.Features.configure`."""
         for name in ("OffsetX", "OffsetY"):
@@ -173,19 +194,24 @@ class GenicamFeatures:
         self._set_if_there("Output", "LineMode")
         self._set("ExposureActive", "LineSource")
 
+    @_translate_errors()
     def reset(self) -> None:
         """Load the default settings; see :meth:`napari_elsplus.hardware.u3v.camera.Features.reset`."""
-        if self._nodes.has_node("UserSetLoad"):
-            self._set_if_there("Default", "UserSetSelector")
-            self._nodes.get_node("UserSetLoad").execute()
+        self._set_if_there("Default", "UserSetSelector")
+        if self._nodes.has_node("UserSetLoad") and self._genapi.is_writable(
+            load := self._nodes.get_node("UserSetLoad")
+        ):
+            load.execute()
         for name, value in LEFT_ON.items():
             self._set_if_there(value, name)
 
+    @_translate_errors()
     def start(self) -> None:
         """Begin to acquire; from then on the camera may lock what changes its transfers."""
         self._set_if_there(1, "TLParamsLocked")
         self._node("AcquisitionStart").execute()
 
+    @_translate_errors()
     def stop(self) -> None:
         """End acquiring."""
         self._node("AcquisitionStop").execute()
