@@ -6,8 +6,11 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
+from threading import Thread
 
+import numpy as np
 import pytest
 
 from napari_elsplus.acquisition.engine.status import Settings
@@ -16,7 +19,7 @@ from napari_elsplus.acquisition.link.session import Session
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.parking import ParkStage
 from napari_elsplus.hardware.virtual.card.process import RemoteCard, start_card
-from small_rig import SmallRig
+from small_rig import SmallRig, small_calibration
 from waiting import until
 
 ENGINE = Path(__file__).parents[1] / "engine_process.py"
@@ -65,6 +68,24 @@ def test_of_an_engine_that_does_not_answer_nothing_is_claimed(client: EngineClie
     until(lambda: client.status.park_state.parked, seconds=30.0)
     assert any("stood still" in fault.problem for fault in client.status.faults)
     assert not any("has not answered" in fault.problem for fault in client.status.faults)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops processes as POSIX does")
+def test_a_large_command_to_an_engine_that_does_not_answer_holds_no_window_up(own_client: EngineClient) -> None:
+    """Before: the window waited until the engine read it, and could not even disconnect."""
+    large = small_calibration().model_copy(update={"background": np.zeros((524, 1328), np.float32)})
+    os.kill(own_client.pid, signal.SIGSTOP)
+    commanded: list[Future[None]] = []
+    window = Thread(target=lambda: commanded.append(own_client.use(large)), daemon=True)
+    try:
+        window.start()
+        window.join(5.0)
+        assert not window.is_alive()
+        parked = own_client.park()
+    finally:
+        os.kill(own_client.pid, signal.SIGCONT)
+    commanded[0].result(30)
+    parked.result(30)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")

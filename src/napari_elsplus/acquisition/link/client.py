@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import pickle
 import secrets
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from multiprocessing.connection import Client
+from queue import SimpleQueue
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final
 
@@ -82,22 +84,25 @@ class EngineClient(ClosedOnExit, Commands):
         self._attended: Callable[[], bool] = lambda: True
         self._unheard = 0
         self._ended = Event()
-        self._reader = Thread(target=self._receive, name="engine-client", daemon=True)
-        self._reader.start()
-        self._heart = Thread(target=self._beat, name="engine-heartbeat", daemon=True)
-        self._heart.start()
+        self._to_send: SimpleQueue[bytes | None] = SimpleQueue()
+        self._threads = [
+            Thread(target=work, name=f"engine-{name}", daemon=True)
+            for name, work in (("client", self._receive), ("sender", self._send), ("heartbeat", self._beat))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def call(self, name: str, *arguments: Any, **options: Any) -> Future[Any]:
         """Return the future result of a command, by its name."""
         future: Future[Any] = Future()
+        number = next(self._numbers)
+        request = pickle.dumps(Request(number, name, arguments, options))
         with self._lock:
             if self.died is not None:
                 future.set_exception(self.died)
                 return future
-            number = next(self._numbers)
             self._waiting[number] = future
-            with suppress(OSError):  # the reader notices, too, and answers every future
-                self._connection.send(Request(number, name, arguments, options))
+            self._to_send.put(request)
         return future
 
     @property
@@ -146,8 +151,8 @@ class EngineClient(ClosedOnExit, Commands):
         except subprocess.TimeoutExpired:
             self._process.kill()
         self._process.communicate()
-        self._reader.join()
-        self._heart.join()
+        for thread in self._threads:
+            thread.join()
         self._connection.close()
         self._detach()
 
@@ -199,12 +204,18 @@ class EngineClient(ClosedOnExit, Commands):
                     self._answer(message)
         self._end()
 
+    def _send(self) -> None:
+        """Send in a thread of its own: of an engine that reads nothing, only this one waits."""
+        while (message := self._to_send.get()) is not None:
+            with suppress(OSError):  # the reader notices, too, and answers every future
+                self._connection.send_bytes(message)
+
     def _beat(self) -> None:
+        heartbeat = pickle.dumps(Heartbeat())
         while not self._ended.wait(HEARTBEAT_S):
             self._unheard += 1
             if self._attended():
-                with self._lock, suppress(OSError):
-                    self._connection.send(Heartbeat())
+                self._to_send.put(heartbeat)
 
     def _answer(self, reply: Reply) -> None:
         with self._lock:
@@ -228,6 +239,7 @@ class EngineClient(ClosedOnExit, Commands):
         with self._lock:
             self.died = error
             waiting, self._waiting = self._waiting, {}
+        self._to_send.put(None)
         for future in waiting.values():
             future.set_exception(error)
 
