@@ -6,9 +6,10 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from threading import Thread
+from threading import Barrier, BrokenBarrierError, Thread
 
 import numpy as np
 import pytest
@@ -86,6 +87,23 @@ def test_a_large_command_to_an_engine_that_does_not_answer_holds_no_window_up(ow
         os.kill(own_client.pid, signal.SIGCONT)
     commanded[0].result(30)
     parked.result(30)
+
+
+def test_rigs_that_are_opened_at_once_do_not_forget_one_another() -> None:
+    """Before: the one that opened first was neither closed nor parked any more."""
+    together, opened = Barrier(2), list[SmallRig]()
+
+    def open_slowly(_: str) -> SmallRig:
+        with suppress(BrokenBarrierError):
+            together.wait(1.0)
+        opened.append(SmallRig())
+        return opened[-1]
+
+    session = Session(open_slowly)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(session.open, ("first", "second")))
+    session.close()
+    assert [rig.scanner.calls.count("close") for rig in opened] == [1, 1]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")

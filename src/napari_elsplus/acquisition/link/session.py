@@ -154,6 +154,7 @@ class Session:
 
     def __init__(self, open_rig: Callable[[str], Rig]) -> None:
         self._open_rig = open_rig
+        self._opening = Lock()
         self._opened: _Opened | None = None
         self._cancelled_s = self._given_s = -inf
         self._progress: ProcedureProgress | None = None
@@ -170,10 +171,11 @@ class Session:
         DeviceError
             If it cannot be opened.
         """
-        self.close()
-        opened = self._open_rig(rig)
-        engine = Engine(opened, make_ring=SharedRing.create)
-        self._opened, self._scanner = _Opened(opened, engine, LiveMosaic(engine)), opened.scanner
+        with self._opening:
+            self.close()
+            opened = self._open_rig(rig)
+            engine = Engine(opened, make_ring=SharedRing.create)
+            self._opened, self._scanner = _Opened(opened, engine, LiveMosaic(engine)), opened.scanner
         settle_memory()
 
     def close(self) -> None:
