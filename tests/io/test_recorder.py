@@ -84,6 +84,21 @@ def test_a_recording_without_frames_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_disk_that_is_full_before_the_first_frame_keeps_nothing(tmp_path, monkeypatch):
+    """Before: an empty file, which no software opens, and its calibration stayed."""
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("napari_elsplus.io.recorder.write_at", full)
+    with (
+        pytest.raises(OSError, match="No space left"),
+        RecordingWriter(tmp_path / "r.ome.tif", (30, 47), np.uint8, calibration=CALIBRATION) as writer,
+    ):
+        writer.append(frame(0), 0.0, 0)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_calibration_of_an_earlier_recording_stays_beside_a_new_one(tmp_path):
     path = tmp_path / "r.ome.tif"
     with RecordingWriter(path, (30, 47), np.uint8, calibration=CALIBRATION) as writer:

@@ -117,7 +117,6 @@ class RecordingWriter(ClosedOnExit):
         self._frame_numbers: list[int] = []
         self._layout = PageLayout(self.frame_shape, self.dtype)
         self._file: io.FileIO | None = self.path.open("xb", buffering=0)
-        write_at(self._file, 0, self._layout.file_header)
         self._reserved = 0
         self._flush_failed: OSError | None = None
         self._stop = Event()
@@ -165,8 +164,7 @@ class RecordingWriter(ClosedOnExit):
             self._reserve(self._layout.start(index + 1))
             head, pixels = self._layout.head(index, time_s, frame_number), np.ascontiguousarray(frame).data
             write_at(self._file, self._layout.start(index), head, pixels, self._layout.padding)
-            if index:  # the page is complete: link it
-                write_at(self._file, *self._layout.link(index))
+            write_at(self._file, *self._layout.link(index))  # only now: the page is complete
         except OSError as error:
             self._close_file()
             if not index:

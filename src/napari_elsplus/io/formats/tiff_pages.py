@@ -89,7 +89,9 @@ class PageLayout:
         return bytes(head)
 
     def link(self, index: int) -> tuple[int, bytes]:
-        """Return the byte offset and the bytes by which the page before links to page `index`."""
+        """Return the byte offset and the bytes of the link to a page, in the one before; of the first, the header."""
+        if not index:
+            return 0, self.file_header
         return self.start(index - 1) + self._pointer, struct.pack("<Q", self.start(index))
 
 
