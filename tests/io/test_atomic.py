@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -94,6 +98,69 @@ def test_a_folder_replaces_a_file_or_a_folder(tmp_path):
             (beside / text).write_text(text)
             (beside / "zarr.json").write_text("{}")
     assert names(tmp_path / "image.zarr") == ["new", "zarr.json"]
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, OSError])
+def test_the_folder_to_replace_stays_where_the_new_one_cannot_take_its_place(tmp_path, monkeypatch, interruption):
+    """Before: the old one was removed first, which takes seconds, and an interruption then lost both."""
+    target, rename = tmp_path / "image.zarr", Path.replace
+    target.mkdir()
+    (target / "zarr.json").write_text("old")
+
+    def interrupted(path, to):
+        if to == target and names(path) == ["new"]:
+            raise interruption
+        return rename(path, to)
+
+    def replaced():
+        with replacing(target, force=True) as beside:
+            beside.mkdir()
+            (beside / "new").touch()
+            monkeypatch.setattr(Path, "replace", interrupted)
+
+    with pytest.raises(interruption):
+        replaced()
+    assert names(tmp_path) == ["image.zarr"]
+    assert (target / "zarr.json").read_text() == "old"
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, OSError])
+def test_of_a_folder_that_is_replaced_the_new_one_stays_where_the_old_one_cannot_be_removed(
+    tmp_path, monkeypatch, interruption
+):
+    """Before: a part of the old one stayed, and the new one was removed."""
+    target, remove = tmp_path / "image.zarr", shutil.rmtree
+    target.mkdir()
+    (target / "zarr.json").write_text("old")
+    failing = [interruption]
+
+    def interrupted(path):
+        if failing:
+            raise failing.pop()
+        remove(path)
+
+    def replaced():
+        with replacing(target, force=True) as beside:
+            beside.mkdir()
+            (beside / "new").touch()
+            monkeypatch.setattr(shutil, "rmtree", interrupted)
+
+    with suppress(interruption):
+        replaced()
+    assert names(target) == ["new"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a folder is not opened there")
+def test_a_folder_that_may_be_written_but_not_read_takes_a_file(tmp_path, monkeypatch):
+    """Before: an error, after the file had taken its place."""
+
+    def refused(folder, _):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(os, "open", refused)
+    with replacing(tmp_path / "a.txt") as beside:
+        beside.write_text("new")
+    assert (tmp_path / "a.txt").read_text() == "new"
 
 
 @pytest.mark.parametrize("existing", [True, False])

@@ -95,7 +95,8 @@ def refuse_suffix(path: str | os.PathLike[str], *suffixes: str) -> None:
 def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
     """Write a file beside its target and rename it at the end.
 
-    On any error, Ctrl-C included, what was written is removed and the target stays as it was. A link is replaced by
+    On any error, Ctrl-C included, what was written is removed and the target stays as it was, unless it was replaced
+    already. A link is replaced by
     what was written, and the file or folder that it names stays: it may be an earlier result under its own name.
 
     Parameters
@@ -128,10 +129,10 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     """
     target = Path(path)
     refuse_existing(target, force=force)
-    beside = target.with_name(f".{token_hex(4)}.{_ending(target.name)}")
+    beside, replaced = (target.with_name(f".{token_hex(4)}.{_ending(target.name)}") for _ in range(2))
     try:
         yield beside
-        put_in_place(beside, target)
+        put_in_place(beside, target, replaced)
     except OSError as error:
         named = error.filename
         if named is not None and beside not in (Path(str(named)), *Path(str(named)).parents):
@@ -140,6 +141,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         raise OSError(error.errno, problem, str(target)) from error
     finally:
         _remove(beside)
+        _remove(replaced)
 
 
 @contextmanager
@@ -168,7 +170,7 @@ def in_folder(folder: Path) -> Iterator[None]:
                 made.rmdir()
 
 
-def put_in_place(finished: Path, target: Path) -> None:
+def put_in_place(finished: Path, target: Path, replaced: Path) -> None:
     """Flush a finished file or folder to the disk and rename it onto its target, in place of the one or link there.
 
     Parameters
@@ -177,11 +179,19 @@ def put_in_place(finished: Path, target: Path) -> None:
         On the file system of the target.
     target : pathlib.Path
         Its new path.
+    replaced : pathlib.Path
+        On that file system, too: what a folder replaces, or what replaces one, is moved there, and left to be removed.
     """
     flush(finished)
     if target.is_dir() or finished.is_dir():  # a file takes the place of a file or link only
-        _remove(target)
-    finished.replace(target)
+        with suppress(FileNotFoundError):
+            target.replace(replaced)
+    try:
+        finished.replace(target)
+    except BaseException:
+        if os.path.lexists(replaced):
+            replaced.replace(target)
+        raise
     _flush_folder(target.parent)
 
 
@@ -217,12 +227,12 @@ def _ending(name: str) -> str:
 def _flush_folder(folder: Path) -> None:
     if os.name != "posix":  # other systems cannot open a folder
         return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # some network file systems refuse; the rename itself has succeeded
+    with suppress(OSError):  # of a folder that is not to be read, or a network; the rename itself has succeeded
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
             os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _is_zarr(folder: Path) -> bool:

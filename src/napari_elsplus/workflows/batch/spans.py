@@ -100,7 +100,7 @@ class SpannedImages:
         for start, stop in plan[SPANS]:
             values |= json.loads(self._record(start, stop).read_text(encoding="utf-8"))
         if self.file.exists():  # else an earlier run was killed after renaming it
-            put_in_place(self.file, self.item.images)
+            put_in_place(self.file, self.item.images, self.folder / "replaced")
         self.item.remember("section", values, plan["input"])
         self._remove()
         return values
