@@ -290,6 +290,18 @@ def test_stopping_is_quick_and_starting_again_is_clean(cameras) -> None:
             camera.stop()
 
 
+def test_while_the_camera_stops_its_frames_stay_counted(cameras, monkeypatch) -> None:
+    """Before: none were, for as long as stopping takes, and the interlock took that for frames that come."""
+    with cameras().open() as camera:
+        camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
+        camera.start()
+        read_frames(camera, 3)
+        counted: list[int] = []
+        monkeypatch.setattr(camera._features, "stop", lambda: counted.append(camera.frames_received))
+        camera.stop()
+        assert 3 <= counted[0] <= camera.frames_received
+
+
 def test_only_usb3_vision_devices_are_cameras(cameras) -> None:
     bench = cameras()
     other = Plug(bench.plug.camera, iidc=True)

@@ -299,9 +299,9 @@ class U3vCamera(ClosedOnExit):
 
     def stop(self) -> None:
         """End the stream; frames not read yet are discarded."""
-        if self._stream is None:
+        stream = self._stream
+        if stream is None:
             return
-        stream, self._stream = self._stream, None
         try:
             self._features.stop()
             self._control.write_number(self._control.sirm + ENABLE, 0)
@@ -309,8 +309,8 @@ class U3vCamera(ClosedOnExit):
             self._streamed = None  # unplugged, or as good as: the next start begins anew
         finally:
             stream.stop()
-            self._received += stream.received
             self._dropped = dict(stream.dropped)
+            self._received, self._stream = self._received + stream.received, None
 
     def close(self) -> None:
         """Stop, and release the camera."""
