@@ -224,7 +224,7 @@ class Scanner(Protocol):
         Raises
         ------
         InputError
-            If the voltage is outside the rig's limits; the one before stays.
+            If the voltage is outside the rig's limits, or on the bundle that is scanned; the one before stays.
         DeviceError
             If the card does not confirm the new position; parking is retried.
         """

@@ -344,6 +344,17 @@ def test_a_parking_voltage_on_the_bundle_is_refused_before_anything_moves(cards,
         assert bench.card.version == before
 
 
+def test_a_parking_voltage_on_the_bundle_is_refused_while_it_is_scanned(cards, ramp, wait_for) -> None:
+    """Before: accepted after `scan`, which refuses it, so that the next fault would have parked on the bundle."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+        before = scanner.park_v
+        with pytest.raises(InputError, match=r"parking voltage 0\.2 V is on the bundle"):
+            scanner.park_at(0.2)
+        assert scanner.park_v == before
+
+
 def test_every_error_of_the_driver_is_ours(cards, ramp, wait_for) -> None:
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:

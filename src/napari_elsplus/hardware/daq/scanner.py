@@ -147,6 +147,7 @@ class DaqScanner(ClosedOnExit):
         """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
         self._refuse_if_closed()
+        _refuse_parking_on_the_bundle(volts, self._waveform)
         changed = volts != self._parking.volts
         self._parking.retarget(volts)
         if changed and self._parking.state.stage is not ParkStage.DRIVEN:
@@ -160,7 +161,7 @@ class DaqScanner(ClosedOnExit):
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
         self.limits.check(waveform.volts, "the scan")
-        self._refuse_parking_on_the_bundle(waveform)
+        _refuse_parking_on_the_bundle(self.park_v, waveform)
         self._drive(lambda: self._scan(waveform))
 
     def check(self) -> None:
@@ -262,14 +263,6 @@ class DaqScanner(ClosedOnExit):
     def _refuse_if_closed(self) -> None:
         if self._closing:
             raise DeviceError("the galvo was closed", "open the rig again")
-
-    def _refuse_parking_on_the_bundle(self, waveform: Waveform) -> None:
-        low, high = waveform.exposed_v or (math.inf, -math.inf)
-        if low <= self.park_v <= high:
-            raise InputError(
-                f"the parking voltage {self.park_v:.4g} V is on the bundle, scanned from {low:.4g} to {high:.4g} V",
-                "choose park_v off the bundle, in the rig's file or the calibration",
-            )
 
     def _go_to(self, volts: float) -> None:
         """Move in steps that keep the slew limit, a millisecond each, then stand."""
@@ -392,6 +385,16 @@ class DaqScanner(ClosedOnExit):
         finally:
             output.release()
         return True
+
+
+def _refuse_parking_on_the_bundle(volts: float, waveform: Waveform | None) -> None:
+    """Raise an InputError if a parking voltage is among those at which a scan, if any, exposes rows."""
+    low, high = (waveform and waveform.exposed_v) or (math.inf, -math.inf)
+    if low <= volts <= high:
+        raise InputError(
+            f"the parking voltage {volts:.4g} V is on the bundle, scanned from {low:.4g} to {high:.4g} V",
+            "choose park_v off the bundle, in the rig's file or the calibration",
+        )
 
 
 def _as_fault(error: Exception) -> DeviceError:
