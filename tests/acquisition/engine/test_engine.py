@@ -590,6 +590,27 @@ def test_park_waits_for_nothing_and_what_ran_does_not_move_the_galvo_again(engin
     assert rig.scanner.calls[-1] == "park"
 
 
+def test_of_a_galvo_that_is_parked_as_a_scan_begins_no_scan_is_claimed(
+    engine: Engine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: one was, for good, where parking came after the last look of the command to scan."""
+    engine.use(calibration)
+    engine.start(scan=False)
+    check, last = engine.operations.check, iter([False, True])
+
+    def check_then_park() -> None:
+        check()
+        if next(last):
+            thread = Thread(target=engine.park)
+            thread.start()
+            thread.join()
+
+    monkeypatch.setattr(engine.operations, "check", check_then_park)
+    engine.scan()
+    assert engine.galvo.park_state.parked
+    assert not engine.galvo.scanning
+
+
 def test_park_is_at_once_while_a_view_is_made(
     engine: Engine, rig: Any, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,8 +103,7 @@ class GalvoController:
             If the card fails.
         """
         if waveform is not None:
-            self._move(lambda: self._scanner.scan(waveform))
-            self.scanned_by = calibration
+            self._move(lambda: self._scanner.scan(waveform), scanned_by=calibration)
         elif self.scanning:
             self.park()
 
@@ -175,7 +174,7 @@ class GalvoController:
         if state.parked and state.problem:
             self._faults.add("scanner", DeviceError(state.message, "switch the laser off by hand, and check that line"))
 
-    def _move(self, move: Callable[[], None]) -> None:
+    def _move(self, move: Callable[[], None], scanned_by: Calibration | None = None) -> None:
         self._operations.check()
         self._check_guarded()
         self.scanned_by = None
@@ -184,8 +183,9 @@ class GalvoController:
         except DeviceError:
             self._operations.check()  # interrupted: then that is the cause
             raise
+        self.scanned_by = scanned_by
         try:
             self._operations.check()
         except InputError:  # interrupted while it moved: parking has the last word
-            self._scanner.park()
+            self.park()
             raise

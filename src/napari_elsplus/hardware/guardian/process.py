@@ -107,11 +107,7 @@ def _print_to_terminal(state: ParkState) -> None:
 
 def main() -> int:
     """Guard the process at the other end of standard input; return the exit code: 0 after a farewell, or parked."""
-    for name in (
-        "SIGTERM",
-        "SIGHUP",
-        "SIGINT",
-    ):  # sent to all processes at once, as at a logout, when it is needed most
+    for name in ("SIGTERM", "SIGHUP", "SIGINT"):  # sent to all at once, as at a logout, when it is needed most
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     printed: list[Future[None]] = []
