@@ -206,6 +206,23 @@ def complex_numbers(path):
     np.savez(path, flat=np.zeros((3, 3), complex))
 
 
+def spoilt(path):
+    """Write bytes that zlib does not unpack."""
+    np.savez_compressed(path, background=np.zeros((20, 40), np.float32))
+    data = bytearray(path.read_bytes())
+    start = data.index(b".npy") + len(b".npy") + 20  # past the member's extra field
+    data[start : start + 8] = b"\xff" * 8
+    path.write_bytes(data)
+
+
+def open_bracket(path):
+    """Write a header that Python's tokenizer, which numpy asks, does not end."""
+    member = io.BytesIO()
+    np.save(member, np.zeros((20, 40), np.float32))
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("background.npy", member.getvalue().replace(b"(20, 40)", b"(20, 40("))
+
+
 def forged_header(shape, descr="<f8", fortran_order=False):
     """Return a writer of a .npz whose array's header declares more than the archive holds."""
 
@@ -261,7 +278,7 @@ def test_forged_array_headers_are_refused_before_memory_is_allocated(tmp_path, w
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("write", [pickled, other_shape, with_nan, text, complex_numbers])
+@pytest.mark.parametrize("write", [pickled, other_shape, with_nan, text, complex_numbers, spoilt, open_bracket])
 def test_bad_arrays_are_refused(tmp_path, write):
     (tmp_path / "c.json").write_text(json.dumps(FULL))
     write(tmp_path / "c.npz")

@@ -206,7 +206,9 @@ def _read_arrays(path: Path, calibration: Calibration) -> dict[str, NDArray[np.f
             for name in present:
                 _refuse_forged_header(file.zip, f"{name}.npy")
             arrays = {name: _checked(path, name, file[name]) for name in present}
-    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile) as error:
+    except CalibrationError:
+        raise
+    except Exception as error:  # noqa: BLE001 - of a spoilt archive zipfile, zlib, tokenize and numpy raise their own
         raise CalibrationError(f"{path.name} cannot be read ({error!s:.80})", "calibrate again") from None
     frame, background = calibration.frame, arrays.get("background")
     if frame is not None and background is not None and background.shape != frame.shape:

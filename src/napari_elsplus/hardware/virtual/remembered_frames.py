@@ -52,7 +52,7 @@ def recall_frames(key: str, like: Frames, rows: int, rows_alike: Callable[[Rows]
         Returns True if frames for such line positions (rows,) are the right ones.
     """
     for path in _folder().glob(f"frames-{key}-*.npy"):
-        with suppress(OSError, ValueError, EOFError), path.open("rb") as file:
+        with suppress(Exception), path.open("rb") as file:  # of a spoilt file numpy raises what its parts do
             line_rows = np.load(file)
             if line_rows.shape == (rows,) and rows_alike(line_rows):
                 frames = np.memmap(file, like.dtype, "c", file.tell(), like.shape)
