@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from napari_elsplus.io import settings
@@ -101,3 +103,12 @@ def test_a_folder_that_cannot_be_written_is_said(monkeypatch, tmp_path):
     monkeypatch.setenv(CONFIG_VARIABLE, str(tmp_path / "file" / "folder"))
     with pytest.warns(UserWarning, match="could not be kept"):
         settings.remember("rig", name="simulated")
+
+
+def test_a_folder_that_may_not_be_written_is_said_too(monkeypatch):
+    """Before: an error, which ended what remembered something by the way."""
+    settings.remember("rig", name="simulated")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.warns(UserWarning, match="could not be kept"):
+        settings.remember("rig", name="other")
+    assert settings.recall("rig") == {"name": "simulated"}

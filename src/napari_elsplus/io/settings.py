@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import tomli_w
 
+from napari_elsplus.errors import InputError, error_message
 from napari_elsplus.io.atomic import real_path, replacing
 from napari_elsplus.io.user_folders import config_folder
 
@@ -60,8 +61,8 @@ def remember(section: str, **values: Any) -> None:
         content[section] = after
         with replacing(path, force=True) as beside:
             beside.write_text(tomli_w.dumps(content), encoding="utf-8")
-    except OSError as error:
-        warnings.warn(f"the settings could not be kept in {path}: {error.strerror}", stacklevel=2)
+    except (OSError, InputError) as error:
+        warnings.warn(f"the settings could not be kept: {error_message(error)}", stacklevel=2)
 
 
 def active_calibration() -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -124,3 +125,12 @@ def test_the_oldest_are_removed(tmp_path: Path, measured: list[str], rig: Rig, e
         simulated.remember_calibration(tmp_path / "many" / f"simulated-{number:02d}.json", calibration)
     assert len(list((tmp_path / "many").glob("*.json"))) == simulated.MAX_FILES
     assert len(list((tmp_path / "many").glob("*.npz"))) == simulated.MAX_FILES
+
+
+def test_a_folder_that_may_not_be_written_costs_only_time(
+    rig: Rig, engine: Engine, measured: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: an error in place of the calibration, which had been measured."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert start(rig, engine).galvo is not None
+    assert len(measured) == 1

@@ -77,7 +77,7 @@ def recall_calibration(path: Path) -> Calibration | None:
 
 def remember_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration to a path, and remove the oldest beyond `MAX_FILES`; a refusing folder costs only time."""
-    with suppress(OSError):
+    with suppress(OSError, InputError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_calibration(path, calibration, force=True)
         kept = sorted(path.parent.glob("simulated-*.json"), key=lambda file: file.stat().st_mtime)
