@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import io
-import lzma
-import struct
 import zipfile
-import zlib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,11 +41,6 @@ LEFT_ON: Final = {
 """Features (SFNC) that other programs may leave on and that change the images, with the values that do not."""
 CHUNK: Final = 1 << 16
 """Bytes unpacked at once."""
-UNREADABLE: Final = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-    OSError, EOFError, ValueError, LookupError, RuntimeError,
-)  # fmt: skip
-"""Exceptions of Python's archive reader on files that are no archives."""
 
 
 def read_description(control: Control) -> bytes:
@@ -90,7 +82,9 @@ def _unzip(data: bytes) -> bytes:
                     raise DeviceError(
                         f"the camera's description unpacks to more than {MAX_TEXT} bytes", "update its firmware"
                     )
-    except UNREADABLE as error:
+    except DeviceError:
+        raise
+    except Exception as error:  # of a spoilt archive zipfile, and what unpacks, raise their own
         raise DeviceError(f"the camera's description cannot be unpacked ({error})", "update its firmware") from error
     return bytes(text)
 
