@@ -61,6 +61,19 @@ def test_the_status_goes_on_where_the_folder_of_the_recording_has_gone(tmp_path:
     text = status_text(Status(live=True, recording=recording, disk_bytes_per_s=1e6), None, 0.0, busy=False)
     assert "480 frames" in text
     assert "disk space" not in text
+    assert "the file is no longer there" in text
+    assert "press Stop recording, and record it again" in text
+
+
+def test_a_recording_that_was_removed_is_no_longer_stated_to_be_there(tmp_path: Path):
+    """Before: recorded, in a folder that had vanished."""
+    file = tmp_path / "r.ome.tif"
+    status = Status(recording=RecordingState(str(file), 480, running=False, seconds=2.0))
+    text = status_text(status, None, 0.0, busy=False)
+    assert "the file is no longer there" in text
+    assert "put it back, or record it again" in text
+    file.write_bytes(b"frames")
+    assert "no longer" not in status_text(status, None, 0.0, busy=False)
 
 
 def test_a_procedure_that_prepares_is_displayed_without_a_percentage(qtbot):

@@ -16,11 +16,12 @@ from napari.layers import Image
 from napari.layers._layer_actions import _duplicate_layer as duplicate_layers
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QApplication
+from qtpy.QtWidgets import QApplication, QPushButton
 
 from napari_elsplus._view import FILLED
 from napari_elsplus.io import open_recording, read_track, write_calibration, write_images
 from napari_elsplus.io.settings import recall
+from napari_elsplus.viewing.mosaic.files import save_mosaics
 from napari_elsplus.viewing.mosaic.recorded import StackMosaics
 from napari_elsplus.widgets.mosaic.panel import MosaicPanel
 from napari_elsplus.widgets.shared.work import Work
@@ -441,6 +442,28 @@ def test_a_live_mosaic_replaces_an_unsaved_one_of_a_recording_only_if_confirmed(
     panel.save(tmp_path / "m.ome.tif")
     qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
     assert panel.unsaved() == ""
+
+
+def test_what_is_being_saved_is_neither_stopped_nor_cleared(panel, qtbot, tmp_path, monkeypatch):
+    make(panel, qtbot)
+    begun, goes_on = Event(), Event()
+
+    def slow(*parts, **options):
+        begun.set()
+        assert goes_on.wait(60)
+        return save_mosaics(*parts, **options)
+
+    monkeypatch.setattr("napari_elsplus.widgets.mosaic.panel.save_mosaics", slow)
+    panel.save(tmp_path / "m.ome.tif")
+    assert begun.wait(60)
+    buttons = panel.form.start, panel.form.clearing, panel.form.saving
+    assert all(not button.enabled and "wait until it is saved" in button.tooltip for button in buttons)
+    assert panel.work.findChild(QPushButton).isHidden(), "what is being written is not cancelled"
+    assert panel.saving()
+    goes_on.set()
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=60_000)
+    assert not panel.saving()
+    assert panel.form.start.enabled
 
 
 def test_mosaics_that_cannot_be_begun_change_nothing(viewer, panel, qtbot, tmp_path):

@@ -189,7 +189,8 @@ class ComparePanel(AnalysisPanel):
             scaled = scaled_images(images, inside, self.scaling.value)
             um_per_px, width_px = self._comparison.um_per_px, int(self.line_width.value)
             figure = ComparisonFigure(scaled, inside, self.display.line or (), width_px, um_per_px)
-            self.work.begin(0, lambda: figure.save(path, force=True), lambda _: show_info(f"saved {Path(path).name}"))
+            saved = f"saved {Path(path).name}"
+            self.work.begin(0, lambda: figure.save(path, force=True), lambda _: show_info(saved), saves=True)
         self._layers_changed()
 
     def copy_script(self) -> None:

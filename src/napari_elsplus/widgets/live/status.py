@@ -104,7 +104,10 @@ def parked_advice(status: Status, calibration: Calibration | None) -> str:
 
 
 def _recorded(status: Status) -> list[str]:
-    """Return name, frames, duration, losses, size and folder of the newest recording; while it runs, the disk space."""
+    """Return what is known of the newest recording: its size, folder, losses, and whether the file is still there.
+
+    While it runs, the disk space that is left, too.
+    """
     recording = status.recording
     if recording is None:
         return []
@@ -112,9 +115,15 @@ def _recorded(status: Status) -> list[str]:
     parts = [f"{path.name}: {recording.frames} frames", f"{recording.seconds:.1f} s"]
     if recording.missing:
         parts.append(amber(f"{recording.missing} frames lost"))
-    with suppress(OSError):
+    lost = ""
+    try:
         parts.append(f"{path.stat().st_size / 1e6:.0f} MB")
-    line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}"
+    except FileNotFoundError:
+        remedy = "press Stop recording, and record it again" if running else "put it back, or record it again"
+        lost = f"; {amber('the file is no longer there')}: {remedy}"
+    except OSError:  # it may be there: a drive that does not answer
+        pass
+    line = f"<b>{'recording' if running else 'recorded'}</b> {', '.join(parts)}, in {escape(str(path.parent))}{lost}"
     if running:
         with suppress(OSError):
             left = shutil.disk_usage(path.parent).free / status.disk_bytes_per_s / 60

@@ -40,6 +40,7 @@ INSERTION_LABELS: Final = {
     Insertion.FEATHERED.value: "feathered mean",
     Insertion.CORES.value: "core by core (finer)",
 }
+SAVED: Final = "; wait until it is saved"
 METHOD_LABELS: Final = {"elsplus": "this software", "paper": "Thrapp 2021"}
 
 
@@ -136,13 +137,17 @@ class MosaicForm:
         self.opening.clicked.connect(plain["open"])
         self.script.clicked.connect(plain["script"])
 
-    def set_enabled(self, *, busy: bool, requesting: bool, present: bool, live: bool, cancels: str) -> None:
+    def set_enabled(
+        self, *, busy: bool, saving: bool, requesting: bool, present: bool, live: bool, cancels: str
+    ) -> None:
         """Enable the buttons that can be used; the tooltips of the others state the reason.
 
         Parameters
         ----------
         busy : bool
-            Mosaics of a stack are being made or saved.
+            Mosaics of a stack are being made, or saved.
+        saving : bool
+            They are being saved, which cannot be stopped.
         requesting : bool
             A request to the engine is outstanding.
         present : bool
@@ -163,18 +168,19 @@ class MosaicForm:
             if live
             else f"Insert frames of the connected rig into mosaics of the selected modes ({key_name('live mosaic')})"
         )
-        self.start.text = "Stop" if busy else "Mosaic"
-        self.start.enabled = busy or bool(self.recording.choices)
+        self.start.text = "Stop" if busy and not saving else "Mosaic"
+        self.start.enabled = not saving and (busy or bool(self.recording.choices))
         self.start.tooltip = (
-            f"Make mosaics of the selected stack, or stop ({key_name('mosaic')})"
+            f"Make mosaics of the selected stack, or stop ({key_name('mosaic')}){SAVED * saving}"
             if self.recording.choices
             else f"Make mosaics ({key_name('mosaic')}); first open a recording, or a sample: "
             "File > Open Sample > ELS+ endomicroscopy"
         )
-        why = "" if present else "; make a mosaic first"
-        self.clearing.enabled, self.clearing.tooltip = present, f"Remove the mosaics ({key_name('clear mosaic')}){why}"
+        why = SAVED if saving else "" if present else "; make a mosaic first"
+        self.clearing.enabled = present and not saving
+        self.clearing.tooltip = f"Remove the mosaics ({key_name('clear mosaic')}){why}"
         self.undoing.enabled = self.saving.enabled = present and not busy
-        why = "; wait until it is finished, or stop" if busy else why
+        why = "; wait until it is finished, or stop" if busy and not saving else why
         self.undoing.tooltip = f"Remove the last segment of the track ({key_name('undo segment')}){why}"
         self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({key_name('save mosaic')}){why}"
 

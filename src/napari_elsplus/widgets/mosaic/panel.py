@@ -182,6 +182,10 @@ class MosaicPanel(EnginePanel):
         lost = self._shown is not None and self._shown is not self._saved
         return "The mosaic was not saved. Discard it?" if lost else ""
 
+    def saving(self) -> bool:
+        """Return True while the mosaic is being saved."""
+        return self.work.saving
+
     def clear(self) -> None:
         """Remove the mosaics, and restore hidden layers; an unsaved live mosaic only if the user agrees."""
         if isinstance(self._shown, LiveMosaicView) and not closing.may_discard(self, self.unsaved()):
@@ -232,6 +236,7 @@ class MosaicPanel(EnginePanel):
                 0,
                 lambda: save_mosaics(shown, path, shown.plan, shown.calibration, force=path.exists()),
                 lambda paths: self._mosaic_saved(shown, paths),
+                saves=True,
             )
             self.refresh()
 
@@ -254,7 +259,9 @@ class MosaicPanel(EnginePanel):
         client = self.connection.client
         calibrating = client is not None and client.status.progress is not None
         cancels = "Cancel calibration" if calibrating else "Cancel" if self.preparing else ""
-        self.form.set_enabled(busy=busy, requesting=self.waiting, present=present, live=self.live, cancels=cancels)
+        self.form.set_enabled(
+            busy=busy, saving=self.saving(), requesting=self.waiting, present=present, live=self.live, cancels=cancels
+        )
         self.form.status.setText(self._status_text())
         if self._shown is not None:
             scale = self._shown.scale

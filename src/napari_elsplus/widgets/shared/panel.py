@@ -62,7 +62,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         self.viewer = viewer
         self._connections: list[tuple[Any, Callable[..., None]]] = []
         self.setAcceptDrops(True)
-        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved)
+        self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved, self.saving)
 
     def connect_signal(self, emitter: Any, slot: Callable[..., None]) -> None:
         """Connect a signal of the viewer until the panel is removed.
@@ -80,6 +80,10 @@ class Panel(QWidget, metaclass=_OnePerViewer):
     def unsaved(self) -> str:
         """Return a question if closing the window would lose a result; else an empty string."""
         return ""
+
+    def saving(self) -> bool:
+        """Return True while a result is being written, for which the window waits before it closes."""
+        return False
 
     def open_dropped(self, path: Path) -> None:
         """Open the file or folder at a dropped `path`: as layers, unless a panel overrides this."""

@@ -46,6 +46,7 @@ class Work(QWidget):
         self._cancelled = Event()
         self._done, self._total, self._counts, self._since = 0, 0, True, perf_counter()
         self._worker: Any = None
+        self._saves = False
         self._name, self._kernel = "", [""]
         self._bar, self._step = QProgressBar(), text_label()
         self._cancel = QPushButton("Cancel")
@@ -65,7 +66,14 @@ class Work(QWidget):
         """True while a computation runs."""
         return self._worker is not None
 
-    def begin(self, total: int, work: Callable[[], Any], finished: Callable[[Any], None]) -> None:
+    @property
+    def saving(self) -> bool:
+        """True while a result is being written, which is not cancelled and for which the window waits."""
+        return self.busy and self._saves
+
+    def begin(
+        self, total: int, work: Callable[[], Any], finished: Callable[[Any], None], *, saves: bool = False
+    ) -> None:
         """Run a computation in a thread.
 
         Parameters
@@ -77,6 +85,8 @@ class Work(QWidget):
             Runs in the thread.
         finished : callable
             Called with the result in the window's thread; not called after a failure or Cancel.
+        saves : bool
+            It writes a result, in one step: there is no Cancel button.
 
         Raises
         ------
@@ -87,7 +97,8 @@ class Work(QWidget):
             raise InputError("a computation is running", "wait until it has ended, or press Cancel")
         self._cancelled.clear()
         self._done, self._total, self._counts, self._since = 0, total, total == 0, perf_counter()
-        self._name = ""
+        self._name, self._saves = "", saves
+        self._cancel.setVisible(not saves)
         self._step.hide()
         self._bar.setRange(0, total)
         self._finished = finished
