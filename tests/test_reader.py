@@ -13,9 +13,9 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QLabel
 
 from napari_elsplus._reader import get_reader
-from napari_elsplus._view import FILLED, SETTLED_MS
+from napari_elsplus._view import FILLED, SETTLED_MS, TWO_DIMENSIONS
 from napari_elsplus.io import settings, write_calibration
-from napari_elsplus.workflows.sectioning import section
+from napari_elsplus.workflows.sectioning import SectionedImages, section
 from pairs import calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
@@ -31,7 +31,7 @@ def said():
 def test_a_recording_is_shown_and_scrolled(make_napari_viewer_proxy, tmp_path):
     viewer = make_napari_viewer_proxy()
     viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
-    assert [layer.name for layer in viewer.layers] == ["scan raw", "scan LS", "scan residual", "scan ELS+", "scan ELSA"]
+    assert [layer.name for layer in viewer.layers] == ["scan raw", "scan LS", "scan residual", "scan ELSA", "scan ELS+"]
     layer = viewer.layers["scan ELS+"]
     els = section(frames(), calibration(), "els")[:]
     for step in (0, 4, 2):
@@ -110,6 +110,62 @@ def test_the_window_answers_between_the_layers_of_a_recording(make_napari_viewer
     viewer.add_image(np.zeros((8, 8)))
     assert seen == [], "layers of others are added as ever"
     ticking.stop()
+
+
+def test_a_recording_stays_in_two_dimensions_and_is_never_computed_whole(
+    make_napari_viewer, tmp_path, said, monkeypatch
+):
+    """Before: napari's button for three dimensions computed every frame at once."""
+    read, frame = [], SectionedImages.__getitem__
+    monkeypatch.setattr(SectionedImages, "__getitem__", lambda self, k: (read.append(k), frame(self, k))[1])
+    viewer = make_napari_viewer()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    button = viewer.window._qt_viewer.viewerButtons.ndisplayButton
+    read.clear()
+    viewer.dims.ndisplay = 3
+    assert viewer.dims.ndisplay == 2
+    assert not button.isChecked()
+    assert len(set(read)) <= 1
+    assert said()[-1] == ("warning", TWO_DIMENSIONS)
+    viewer.layers["scan ELS+"].visible = False
+    viewer.dims.ndisplay = 3
+    assert viewer.dims.ndisplay == 3, "other layers are displayed as the user wants"
+    read.clear()
+    viewer.open(str(tmp_path / "scan.tif"), plugin=PLUGIN)
+    assert viewer.dims.ndisplay == 2
+    assert set(read) <= {0}
+
+
+def test_an_axial_scan_is_displayed_in_three_dimensions(make_napari_viewer_proxy, tmp_path):
+    viewer = make_napari_viewer_proxy()
+    write_pair(tmp_path)
+    (tmp_path / "scan.depths.csv").write_text("depth_um\n" + "\n".join(str(5 * k) for k in range(6)))
+    viewer.open(str(tmp_path / "scan.tif"), plugin=PLUGIN)
+    viewer.dims.ndisplay = 3
+    assert viewer.dims.ndisplay == 3
+
+
+def test_what_is_opened_last_is_selected_where_it_is_displayed(make_napari_viewer_proxy, tmp_path):
+    """Before: a hidden layer was selected, and the controls of contrast changed nothing that is seen."""
+    viewer = make_napari_viewer_proxy()
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    assert viewer.layers.selection.active.name == "scan ELS+"
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["scan ELS+"]
+
+
+def test_a_recording_is_not_displayed_under_the_titles_of_a_sample(make_napari_viewer_proxy, tmp_path, qtbot):
+    """Before: it lay over the first image of the sample, under its title, at the edge of the view."""
+    viewer = make_napari_viewer_proxy()
+    viewer.open_sample(PLUGIN, "recording")
+    qtbot.wait(3 * SETTLED_MS)
+    viewer.open(str(write_pair(tmp_path)), plugin=PLUGIN)
+    assert [layer.name for layer in viewer.layers if layer.visible] == ["scan ELS+"]
+    qtbot.wait(3 * SETTLED_MS)
+    corners = viewer.layers["scan ELS+"].extent.world[:, -2:]
+    assert viewer.scene.camera.center[-2:] == pytest.approx(corners.mean(axis=0))
+    viewer.open_sample(PLUGIN, "recording")
+    assert "fibres LS [1]" in viewer.layers
+    assert not viewer.layers["fibres LS"].visible
 
 
 def test_a_view_that_a_script_sets_after_opening_stays(make_napari_viewer_proxy, tmp_path, qtbot):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +16,7 @@ from napari_elsplus.io.formats.registry import CALIBRATION, foreign_file
 from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
-from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+from napari_elsplus.viewing.provenance import PROVENANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     Reader = Callable[[str | Sequence[str]], list[tuple[Any, ...]]]
 
-_CONNECTED: Final = "elsplus depth text"
 NO_LAYERS: Final[list[tuple[Any, ...]]] = [(None,)]
 """By napari's convention: the file was read, and there is no layer to add."""
 
@@ -79,10 +77,9 @@ def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
 def _with_common_axes(layers: list[Layer]) -> list[tuple[Any, ...]]:
     """Return layers whose unknown axes are those of the calibrated layers in the viewer, with a warning."""
     viewer = napari.current_viewer()
-    view_opened_layers(viewer, len(layers))
+    view_opened_layers(viewer, layers)
     if viewer is None:
         return [tuple(layer) for layer in layers]
-    _show_depth(viewer)
     reference, new, warned = reference_axes(viewer.layers), [], False
     for data, words, kind in layers:
         placed, adopted = adopt_axes(words, reference)
@@ -112,25 +109,3 @@ def _adopt_later(viewer: napari.Viewer, layers: list[Layer]) -> None:
         if adopted:
             for name, value in placed.items():
                 setattr(layer, name, value)
-
-
-def _show_depth(viewer: napari.Viewer) -> None:
-    """Display the depth in micrometres on the canvas of a viewer while an axial scan is visible; once per viewer."""
-    if any(
-        getattr(callback, "keywords", {}).get("name") == _CONNECTED for callback in viewer.dims.events.point.callbacks
-    ):
-        return
-    update = partial(_update_depth, viewer, name=_CONNECTED)
-    for emitter in (viewer.dims.events.point, viewer.layers.events.inserted, viewer.layers.events.removed):
-        emitter.connect(update)
-
-
-def _update_depth(viewer: napari.Viewer, _event: Any = None, *, name: str) -> None:
-    overlay, text = viewer.canvas.overlays.text, ""
-    for layer in viewer.layers:
-        stack = provenance_of(layer.metadata).get("stack")
-        if layer.visible and stack is not None and stack.depth_um is not None and layer.ndim == 3:
-            plane = round((viewer.dims.point[0] - layer.translate[0]) / layer.scale[0])
-            text = f"depth {stack.depth_um[min(max(plane, 0), len(stack.depth_um) - 1)]:.1f} µm"
-    if text or overlay.text.startswith("depth "):
-        overlay.text, overlay.visible = text, bool(text)

@@ -108,7 +108,7 @@ def axial_scan() -> list[tuple[Any, ...]]:
 
 def _opened(layers: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     """Return layers of a sample, between which the window answers when napari adds them."""
-    view_opened_layers(napari.current_viewer(), len(layers))
+    view_opened_layers(napari.current_viewer(), layers)
     return layers
 
 

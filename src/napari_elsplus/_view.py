@@ -1,4 +1,4 @@
-"""The view of a viewer while layers are opened: drawn between them, fitted to what is visible, with a scale bar."""
+"""The view of a viewer in which layers are opened: drawn between them, fitted to what is visible, in two dimensions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEventLoop, QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_elsplus.viewing.common_axes import PIXEL
+from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE, provenance_of
+from napari_elsplus.viewing.stack import TIME
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -23,6 +26,11 @@ FILLED: Final = 0.95
 """Share of the canvas that the layers fill, as with napari's own reset of the view."""
 SETTLED_MS: Final = 50
 """Time from the last layer until all are laid out, milliseconds; chosen, some turns of the loop."""
+_WATCHED: Final = "elsplus"
+TWO_DIMENSIONS: Final = (
+    "recordings are displayed in two dimensions: in three, napari would compute all frames at once. To display other "
+    "layers in three, hide the recording"
+)
 
 
 def fit_visible_layers(viewer: napari.viewer.Viewer, parts: Mapping[Layer, NDArray[np.float64]] | None = None) -> None:
@@ -93,7 +101,7 @@ def answer() -> None:
     QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
 
-def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
+def view_opened_layers(viewer: napari.viewer.Viewer | None, layers: Sequence[tuple[Any, ...]]) -> None:
     """Answer between the layers that are being opened; display the first frame of those in a viewer that had none.
 
     napari inserts all layers of a file in one turn of the event loop. Each takes a tenth of a second, and several on a
@@ -105,26 +113,34 @@ def view_opened_layers(viewer: napari.viewer.Viewer | None, count: int) -> None:
     Parameters
     ----------
     viewer : napari.Viewer or None
-        Into which they are opened. Its view is left as it is where it displays three dimensions, or a script has set it
-        meanwhile. The scale bar is shown where the scale is known.
-    count : int
-        Number of layers.
+        Into which they are opened. From then on the depth of a visible axial scan is written on its canvas, and the
+        time of recordings stays on its slider. Its view is left as it is where it displays three dimensions, or a
+        script has set it meanwhile. The scale bar is shown where the scale is known.
+
+    Images that lie side by side under titles, those of a sample and live ones, are hidden: what is opened would lie
+    over one of them, under its title.
+    layers : sequence of tuple
+        (data, attributes, type) each. Two dimensions are displayed if the first axis of one is time.
     """
     if viewer is None or QApplication.instance() is None:
         return
-    opened, inserted, left = weakref.ref(viewer), viewer.layers.events.inserted, [count]
+    opened, inserted, left = weakref.ref(viewer), viewer.layers.events.inserted, [len(layers)]
     first = not len(viewer.layers)
+    _watch(viewer)
+    if any(TIME in words["axis_labels"] for _, words, _ in layers):
+        viewer.dims.ndisplay = 2
+    fits = _hide_side_by_side(viewer) or first
 
     def answer_to(_: Any) -> None:
         here = opened()
-        if first and here is not None and left[0] == count:
+        if first and here is not None and left[0] == len(layers):
             for axis in here.dims.not_displayed:
                 here.dims.set_current_step(axis, 0)
         left[0] -= 1
         if left[0] <= 0:
             inserted.disconnect(answer_to)
         answer()
-        if left[0] <= 0 and first:
+        if left[0] <= 0 and fits:
             QTimer.singleShot(SETTLED_MS, partial(_fit_unless_moved, opened, _view_of(opened())))
 
     inserted.connect(answer_to, position="last")  # after napari's own reset of the view
@@ -143,3 +159,42 @@ def _fit_unless_moved(opened: weakref.ref[napari.viewer.Viewer], view: list[obje
 def _view_of(viewer: napari.viewer.Viewer | None) -> list[object]:
     """Return centre and zoom of a viewer's camera."""
     return [] if viewer is None else [tuple(viewer.scene.camera.center), viewer.scene.camera.zoom]
+
+
+def _hide_side_by_side(viewer: napari.viewer.Viewer) -> bool:
+    """Hide layers that give way to what is opened, and return True if any was visible."""
+    covered = [layer for layer in viewer.layers if layer.visible and provenance_of(layer.metadata).get(GIVES_WAY)]
+    for layer in covered:
+        layer.visible = False
+    return bool(covered)
+
+
+def _watch(viewer: napari.viewer.Viewer) -> None:
+    """Keep the time of recordings on the slider of a viewer, and the depth of a scan on its canvas; once per viewer."""
+    dims, layers = viewer.dims.events, viewer.layers.events
+    if any(getattr(callback, "keywords", {}).get("name") == _WATCHED for callback in dims.point.callbacks):
+        return
+    for emitter in (dims.point, layers.inserted, layers.removed):
+        emitter.connect(partial(_show_depth, viewer, name=_WATCHED))
+    camera = dims.ndisplay.callbacks[:1]  # of napari; the next ones compute what is displayed, plugins come last
+    dims.ndisplay.connect(partial(_keep_two_dimensions, viewer), position="first", after=list(camera))
+
+
+def _keep_two_dimensions(viewer: napari.viewer.Viewer, event: Any) -> None:
+    ours = [layer for layer in viewer.layers if layer.visible and PROVENANCE in layer.metadata]
+    if viewer.dims.ndisplay > 2 and any(layer.axis_labels[0] == TIME for layer in ours):
+        event.blocked = True  # those that follow are called for what is set here
+        viewer.dims.ndisplay = 2
+        show_warning(TWO_DIMENSIONS)
+
+
+def _show_depth(viewer: napari.viewer.Viewer, _event: Any = None, *, name: str) -> None:
+    """Write the depth of a visible axial scan on the canvas, in micrometres."""
+    overlay, text = viewer.canvas.overlays.text, ""
+    for layer in viewer.layers:
+        stack = provenance_of(layer.metadata).get("stack")
+        if layer.visible and stack is not None and stack.depth_um is not None and layer.ndim == 3:
+            plane = round((viewer.dims.point[0] - layer.translate[0]) / layer.scale[0])
+            text = f"depth {stack.depth_um[min(max(plane, 0), len(stack.depth_um) - 1)]:.1f} µm"
+    if text or overlay.text.startswith("depth "):
+        overlay.text, overlay.visible = text, bool(text)

@@ -23,7 +23,7 @@ def by_name(opened):
 def test_a_recording_with_its_calibration_gives_five_layers(tmp_path):
     opened = open_layers(write_pair(tmp_path))
     layers = by_name(opened)
-    assert list(layers) == ["scan raw", "scan LS", "scan residual", "scan ELS+", "scan ELSA"]
+    assert list(layers) == ["scan raw", "scan LS", "scan residual", "scan ELSA", "scan ELS+"]
     assert opened.notes == []
     np.testing.assert_array_equal(layers["scan raw"][0], frames())
     for name, mode in (("scan LS", "ls"), ("scan residual", "residual"), ("scan ELS+", "els"), ("scan ELSA", "elsa")):

@@ -17,6 +17,7 @@ from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.lazy import image_planes
+from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE
 from napari_elsplus.viewing.stack import Stack, attributes, images_origin_px, provenance
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ TITLE_RISE: Final = 0.03
 """Distance of a title from its image, fraction of the image's rows; chosen."""
 TITLE_PT: Final = 12
 """Size of a title, points; chosen."""
+TITLES_METADATA: Final = {"metadata": {PROVENANCE: {"kind": "titles", GIVES_WAY: True}}}
+"""Attribute of a layer of titles that is hidden together with the images below them."""
 MOSAIC: Final = "mosaic"
 """Key of a mosaic's layers in their metadata."""
 
@@ -96,6 +99,7 @@ def open_layers(path: str | os.PathLike[str], active: Path | None = None) -> Ope
         notes.append(f"{stack.file_name} is displayed as raw frames only. {error}")
     raw = raw_layer(stack, calibration, source)
     raw[1]["visible"] = not layers
+    layers.sort(key=lambda layer: bool(layer[1]["visible"]))  # napari selects the last, whose contrast is then set
     return Opened([raw, *layers], notes)
 
 
@@ -141,7 +145,7 @@ def image_layers(stack: Stack, calibration: Calibration, source: Path | None = N
 
 
 def side_by_side(layers: list[Layer]) -> list[Layer]:
-    """Return layers of images of one size placed side by side, all visible.
+    """Return layers of images of one size placed side by side, all visible; they give way to what is opened later.
 
     Parameters
     ----------
@@ -158,7 +162,9 @@ def side_by_side(layers: list[Layer]) -> list[Layer]:
         step_um = words["scale"][-1]
         aside = index * (data.shape[-1] + GAP_PX) * step_um
         place = (*words["translate"][:-1], words["translate"][-1] + aside)
-        placed.append((data, {**words, "translate": place, "visible": True}, kind))
+        facts = {**words["metadata"][PROVENANCE], GIVES_WAY: True}
+        new = {"translate": place, "visible": True, "metadata": {**words["metadata"], PROVENANCE: facts}}
+        placed.append((data, {**words, **new}, kind))
     return placed
 
 
@@ -208,7 +214,7 @@ def titles_above(name: str, layers: Sequence[Layer], titles: Sequence[str]) -> L
     places = [words["translate"] for _, words, _ in layers]
     corners = [(place[-2] / step - rise, place[-1] / step) for place in places]
     place = {key: first[key][-2:] for key in ("scale", "units", "axis_labels")}
-    return titles_layer(name, titles, corners, place)
+    return titles_layer(name, titles, corners, place | TITLES_METADATA)
 
 
 def finished_layer(stack: Stack) -> Layer:

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
 
 PROVENANCE: Final = "elsplus"
 """Key in the metadata of a layer; its value is a dictionary with ``kind``, ``calibration``, ``stack``, ..."""
+GIVES_WAY: Final = "gives_way"
+"""Key in the provenance of layers that lie side by side under titles, and are hidden where a recording is opened."""
 
 
 def provenance_of(metadata: Mapping[str, Any] | None) -> Mapping[str, Any]:

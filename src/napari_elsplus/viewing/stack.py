@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
+
+TIME: Final = "time"
+"""Label of the first axis of the layers of a recording that is no axial scan."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]
         "scale": period_s or 1.0,
         "translate": 0.0,
         "units": "s" if period_s else "pixel",
-        "axis_labels": "time",
+        "axis_labels": TIME,
     }
 
 

@@ -62,10 +62,13 @@ def test_three_images_appear_and_everything_is_as_before_at_the_end(viewer, pane
 
 def test_a_comparison_is_of_one_frame_also_where_three_dimensions_were_displayed(viewer, panel, qtbot):
     """Before: all frames were read, and projected onto each other beside the numbers of one."""
+    viewer.layers["scan ELS+"].visible = False
     viewer.dims.ndisplay = 3
     before = state(viewer)
     press(panel, qtbot)
     assert viewer.dims.ndisplay == 2
+    viewer.dims.ndisplay = 3
+    assert viewer.dims.ndisplay == 2, "nor later"
     press(panel, qtbot)
     assert viewer.dims.ndisplay == 3
     assert state(viewer) == before
@@ -90,7 +93,7 @@ def test_the_window_answers_between_the_layers_and_napari_searches_little_for_ga
     assert gc.get_freeze_count() == 0
 
 
-@pytest.mark.parametrize("moment", ["inserted", "removed"])
+@pytest.mark.parametrize("moment", ["hidden", "inserted", "removed"])
 def test_the_window_closes_while_a_comparison_begins_or_ends(make_napari_viewer, tmp_path, qtbot, moment):
     own, closed = make_napari_viewer(), []
     own.open(str(write_pair(tmp_path)), plugin=PLUGIN)
@@ -99,13 +102,17 @@ def test_the_window_closes_while_a_comparison_begins_or_ends(make_napari_viewer,
     if moment == "removed":
         press(widget, qtbot)
     close = lambda: closed or (closed.append(True), own.close())  # noqa: E731
-    getattr(own.layers.events, moment).connect(lambda _: QTimer.singleShot(0, close))
+    layers = own.layers.events
+    hidden = own.layers["scan ELS+"].events.visible
+    emitters = {"hidden": hidden, "inserted": layers.inserted, "removed": layers.removed}
+    emitters[moment].connect(lambda _: QTimer.singleShot(0, close))
     with qtbot.captureExceptions() as errors:
         widget.start.native.click()
         qtbot.waitUntil(lambda: bool(closed), timeout=LONG_MS)
         qtbot.wait(200)
     assert errors == []
     assert not widget.display.images
+    assert names(own) == []
 
 
 def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
@@ -251,7 +258,7 @@ def test_taking_several_layers_away_at_once_ends_it(viewer, panel, qtbot, what):
     else:
         viewer.layers.clear()
     qtbot.waitUntil(lambda: not panel.comparing, timeout=LONG_MS)
-    left = ["scan raw", "scan LS", "scan ELS+", "scan ELSA"] if what == "selected" else []
+    left = ["scan raw", "scan LS", "scan ELSA", "scan ELS+"] if what == "selected" else []
     assert [layer.name for layer in viewer.layers] == left
     assert panel.start.enabled == bool(left)
 

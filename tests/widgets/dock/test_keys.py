@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 from napari.settings import get_settings
+from qtpy.QtCore import Qt
 from qtpy.QtGui import QKeySequence, QShortcut
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QAbstractButton, QApplication
+from qtpy.QtWidgets import QAbstractButton, QApplication, QPushButton
 
+from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.widgets.shared.window.keys import KEYS, key_name
 
 PLUGIN = "napari-elsplus"
@@ -61,6 +63,22 @@ def test_each_key_pressed_acts_once_from_another_tab_and_is_not_ambiguous(dock):
 
 
 @pytest.mark.checkout
+@pytest.mark.parametrize("title", ["Rig", "Calibration", "Compare", "Quality"])
+def test_the_tab_key_goes_from_the_tabs_through_all_of_a_panel(dock, title):
+    """Before: the title's buttons, and napari's docks for some panels, lay between them."""
+    dock.show_tab(title)
+    QApplication.processEvents()
+    bar = dock.tabs.tabBar()
+    bar.setFocus()
+    panel, reached = dock.by_title[title].panel, []
+    while (one := QApplication.focusWidget()) is bar or panel.isAncestorOf(one):
+        reached.append(one)
+        QTest.keyClick(one, Qt.Key.Key_Tab)
+    buttons = [one for one in panel.findChildren(QPushButton) if one.isVisible() and one.isEnabled()]
+    assert set(reached) >= set(buttons)
+    assert not any(isinstance(one, ThemedPlot) for one in reached), "nothing can be done in it by keys"
+
+
 def test_every_key_is_listed_in_the_documentation():
     """Before: four of ten."""
     page = (Path(__file__).parents[3] / "docs" / "live.md").read_text(encoding="utf-8")

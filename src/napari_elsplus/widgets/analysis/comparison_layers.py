@@ -12,7 +12,7 @@ from napari.utils import Colormap
 
 from napari_elsplus._view import HiddenLayers, answer, fit_visible_layers
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
-from napari_elsplus.viewing.stack import attributes
+from napari_elsplus.viewing.stack import attributes, provenance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -132,12 +132,12 @@ class ComparisonLayers:
         answer()
         self._side = images[0].planes.shape[-1]
         self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(images))]
-        for layer in self._made(images, stack, calibration, line):
+        made = self._made(images, stack, calibration, line)
+        while self._view is not None and (layer := next(made, None)) is not None:
             self._viewer.layers.append(layer)
             answer()
-            if not self.images:
-                return  # ended while the window answered
-        fit_visible_layers(self._viewer)
+        if self._view is not None:
+            fit_visible_layers(self._viewer)  # not ended while the window answered
 
     def end(self) -> None:
         """Remove the images and the line, and restore the user's layers."""
@@ -198,6 +198,7 @@ class ComparisonLayers:
         for one, offset in zip(images, self._offsets_px, strict=True):
             options = attributes(stack, one.title, calibration, origin_px=(0, offset))
             options["name"] = f"{PREFIX} {one.title}"
+            options["metadata"] = provenance(stack, options["name"], calibration, None)
             image = Image(
                 one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
                 interpolation2d=SMOOTH, **options,

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from qtpy.QtCore import QEvent, QObject, Qt
-from qtpy.QtWidgets import QDockWidget, QLabel, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QDockWidget, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
 from napari_elsplus.widgets.shared.panel import Panel, find_panel
 
@@ -108,8 +108,21 @@ class Tab(QWidget):
     def _show(self, content: QWidget) -> None:
         before, self._content = self._content, content
         self._layout.addWidget(content)
+        self._follow_tabs(content)
         if before is not None and self.isAncestorOf(before):  # not a panel that was docked elsewhere
             before.deleteLater()
+
+    def _follow_tabs(self, content: QWidget) -> None:
+        """Have the Tab key go from the tabs to the content, which Qt appends behind napari's own widgets."""
+        tabs = self.parentWidget()
+        while tabs is not None and not isinstance(tabs, QTabWidget):
+            tabs = tabs.parentWidget()
+        if tabs is None:
+            return
+        last: QWidget | None = tabs.tabBar()
+        for one in _in_tab_order(content):
+            QWidget.setTabOrder(last, one)
+            last = one
 
     def _note(self) -> QWidget:
         note = QWidget()
@@ -124,3 +137,14 @@ class Tab(QWidget):
         layout.addWidget(back, 0, Qt.AlignmentFlag.AlignCenter)
         layout.addStretch(1)
         return note
+
+
+def _in_tab_order(content: QWidget) -> list[QWidget]:
+    """Return the widgets within a widget that the Tab key reaches, in its order."""
+    reached, one = [], content.nextInFocusChain()
+    while one is not None and one is not content:
+        tabbed = bool(one.focusPolicy() & Qt.FocusPolicy.TabFocus) and one.focusProxy() is None
+        if tabbed and content.isAncestorOf(one):
+            reached.append(one)
+        one = one.nextInFocusChain()
+    return reached

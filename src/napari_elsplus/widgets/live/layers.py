@@ -19,8 +19,8 @@ from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.analysis.saturation import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
-from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer
-from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES_METADATA, titles_layer
+from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE, provenance_of
 from napari_elsplus.widgets.shared.choosing import LIVE
 
 if TYPE_CHECKING:
@@ -97,14 +97,8 @@ class LiveLayers:
         return [kind for kind in kinds if kind in self._layers and kind not in present]
 
     def begin(self) -> None:
-        """Let the next arrangement hide what would be displayed through live images: a stream begins."""
+        """Let the next arrangement display the images in place of what covers them, as where a stream begins."""
         self._begins = True
-
-    def hide(self) -> None:
-        """Hide live images and titles; the next arrangement displays them again, in place of what covers them."""
-        self._begins = True
-        for layer in self._ours:
-            layer.visible = False
 
     @property
     def _ours(self) -> list[Layer]:
@@ -170,7 +164,7 @@ class LiveLayers:
             facts: dict[str, Any] = {
                 "kind": f"{LIVE} {kind}", "stack": None, "path": None, "calibration": calibration,
                 "calibration_path": calibration_file, "file": {}, "software": SOFTWARE,
-                "rig": rig, "displayed_since": utc_now(), **adopted,
+                "rig": rig, "displayed_since": utc_now(), GIVES_WAY: True, **adopted,
             }  # fmt: skip
             if layer is None and complete:
                 self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}})
@@ -253,7 +247,8 @@ class LiveLayers:
 
     def _arrange_titles(self, corners: dict[str, tuple[float, float]], place: dict[str, Any]) -> None:
         """Write each image's kind above it, at its corner (row, col) in pixels of a scale and units."""
-        data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), place)
+        words = place | TITLES_METADATA
+        data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), words)
         if self._titles is not None and self._titles in self._viewer.layers:
             written = self._titles.data.tolist(), self._titles.features["title"].tolist()
             if written != (data.tolist(), list(corners)):

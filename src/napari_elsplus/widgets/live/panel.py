@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 from napari.utils.notifications import show_info
 
 from napari_elsplus._problems import notify_errors, problems
-from napari_elsplus._view import fit_visible_layers
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.viewing.live_script import live_script
@@ -128,8 +127,6 @@ class LivePanel(EnginePanel):
         if recorded is not None and not recorded.running:
             with notify_errors(self):
                 self.viewer.open(recorded.path, plugin="napari-elsplus")
-                self.layers.hide()
-                fit_visible_layers(self.viewer)
 
     def change_view(self) -> None:
         """Apply the form's processing to live images."""
@@ -152,6 +149,7 @@ class LivePanel(EnginePanel):
         now_s = time.perf_counter()
         if client is None or not client.status.live:
             self._arranged = None  # the next stream, whichever panel starts it, displays its images again
+            self.layers.begin()
             self._stream_ended = True
             self._shown_at_s.clear()
         elif self.live and not self.canvas.pending:
@@ -203,6 +201,8 @@ class LivePanel(EnginePanel):
         kinds, apart, calibration = self.form.chosen, self.form.side_by_side.value, client.calibration
         arranged = (ring.layout, ring.name, tuple(kinds), apart)
         if arranged != self._arranged or calibration is not self._arranged_by:
+            if self.layers.hidden:
+                self.layers.begin()
             file, rig = self.connection.calibration_file, self.connection.rig
             complete = self.layers.arrange(kinds, ring, calibration, side_by_side=apart, calibration_file=file, rig=rig)
             self._arranged, self._arranged_by = arranged if complete else None, calibration

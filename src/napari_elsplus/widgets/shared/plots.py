@@ -91,6 +91,7 @@ class ThemedPlot(pg.PlotWidget):  # type: ignore[misc]
         self._lines: list[Any] = []
         self._regions: list[Any] = []
         self.hideButtons()
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setMouseEnabled(x=False, y=False)  # there is no way back from a zoom, and the wheel scrolls the panel
         self.plotItem.layout.setContentsMargins(*MARGINS_PX)
         self._legend = pg.LegendItem(colCount=4, labelTextSize="8pt", verSpacing=-4)
