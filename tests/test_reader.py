@@ -12,7 +12,6 @@ from napari.utils.notifications import notification_manager
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QLabel
 
-from napari_elsplus._reader import get_reader
 from napari_elsplus._view import FILLED, SETTLED_MS, TWO_DIMENSIONS
 from napari_elsplus.io import settings, write_calibration
 from napari_elsplus.workflows.sectioning import SectionedImages, section
@@ -257,9 +256,20 @@ def test_a_file_that_is_not_ours_is_named_with_what_is(make_napari_viewer_proxy,
     assert not viewer.layers
 
 
-def test_several_files_are_not_read_as_one(tmp_path):
-    assert get_reader([str(tmp_path / "a.tif"), str(tmp_path / "b.tif")]) is None
-    assert get_reader(str(newer(tmp_path))) is not None
+def test_files_that_are_opened_as_a_stack_are_the_recording_of_their_folder(make_napari_viewer_proxy, tmp_path, said):
+    """Before: napari displayed a traceback, by which the reader had refused the files."""
+    viewer = make_napari_viewer_proxy()
+    for k, frame in enumerate(frames()):
+        tifffile.imwrite(tmp_path / f"f{k}.tif", frame)
+    files = [str(tmp_path / f"f{k}.tif") for k in range(len(frames()))]
+    viewer.open(files, stack=True, plugin=PLUGIN)
+    (layer,) = viewer.layers
+    np.testing.assert_array_equal(layer.data, frames())
+    viewer.layers.clear()
+    viewer.open(files[:3], stack=True, plugin=PLUGIN)
+    assert len(viewer.layers) == 0
+    assert said()[-1][0] == "error"
+    assert "these 3 files are not all TIFFs of one folder: open the folder itself" in said()[-1][1]
 
 
 def test_a_closed_viewer_lets_the_recording_go(make_napari_viewer_proxy, tmp_path, caplog):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+
 import dask.array as da
 import numpy as np
 import pytest
 import tifffile
 import zarr
 from napari.layers import Image
+from napari.utils import cancelable_progress
 from napari.utils.notifications import notification_manager
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import QFileDialog
 
+from napari_elsplus._problems import problems
 from napari_elsplus._writer import write_image
-from napari_elsplus.errors import InputError
+from napari_elsplus.errors import CancelledError, InputError
 from napari_elsplus.io import ImageMetadata, open_recording, write_calibration, write_images
 from napari_elsplus.viewing.common_axes import ADOPTED
 from napari_elsplus.viewing.lazy import UnreadablePlane
@@ -63,22 +69,53 @@ def test_frames_that_cannot_be_read_are_displayed_as_empty_and_not_saved(make_na
     with pytest.warns(UnreadablePlane, match=r"2\.tif has shape"):
         viewer.dims.set_current_step(0, 2)
     layer = viewer.layers[0]
-    with pytest.warns(UserWarning, match="did not return any written paths"):
-        assert layer.save(str(tmp_path / "saved.tif"), plugin=PLUGIN) == []
-    assert "2.tif has shape" in notification_manager.records[-1].message
+    with pytest.raises(UnreadablePlane, match=r"2\.tif has shape"):
+        layer.save(str(tmp_path / "saved.tif"), plugin=PLUGIN)
     assert not (tmp_path / "saved.tif").exists()
     viewer.layers.clear()
 
 
-def test_an_error_of_saving_is_displayed_in_a_window_and_raised_in_a_script(make_napari_viewer_proxy, tmp_path):
-    """Before: napari printed its traceback."""
+def test_an_error_of_saving_is_displayed_by_napari_alone_and_kept_in_the_status_line(
+    make_napari_viewer, tmp_path, monkeypatch
+):
+    """Before: the dialog went on to state that the plugin had returned no paths, above the remedy."""
     (tmp_path / "file").write_text("a folder's name")
     path, attributes = str(tmp_path / "file" / "x.tif"), {"name": "x", "scale": (1, 1), "units": ("um", "um")}
     with pytest.raises(InputError, match="there is no folder"):
         write_image(path, np.zeros((4, 5), np.uint8), attributes)
-    make_napari_viewer_proxy()
-    assert write_image(path, np.zeros((4, 5), np.uint8), attributes) == []
-    assert "there is no folder" in notification_manager.records[-1].message
+    viewer, shown = make_napari_viewer(), len(notification_manager.records)
+    viewer.add_image(np.zeros((4, 5), np.uint8))
+
+    def chosen(*_, **options):
+        return path, next(kind for kind in options["filter"].split(";;") if "OME-TIFF" in kind)
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", chosen)
+    with pytest.raises(InputError, match="there is no folder"):  # displayed by napari as any exception is
+        viewer.window._qt_viewer._save_layers_dialog(selected=True)
+    assert len(notification_manager.records) == shown
+    assert "there is no folder" in problems.newest
+    write_image(str(tmp_path / "x.tif"), np.zeros((4, 5), np.uint8), attributes)
+    assert not problems.newest
+
+
+@pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
+def test_the_window_answers_while_planes_are_saved_and_the_user_may_cancel(make_napari_viewer_proxy, tmp_path, ending):
+    """Before: it stood still for minutes while a recording was saved, and the engine took it for frozen."""
+    viewer, path, ticks = make_napari_viewer_proxy(), tmp_path / f"x{ending}", []
+    ticking = QTimer()
+    ticking.timeout.connect(lambda: ticks.append(True))
+    ticking.start(0)
+    layer = viewer.add_image(np.zeros((20, 4, 5), np.uint8))
+    layer.save(str(path), plugin=PLUGIN)
+    ticking.stop()
+    assert len(ticks) >= 20
+    path.unlink() if path.is_file() else shutil.rmtree(path)
+    cancels = QTimer()
+    cancels.timeout.connect(lambda: [bar.cancel() for bar in list(cancelable_progress._all_instances)])
+    cancels.start(0)
+    with pytest.raises(CancelledError, match="not saved"):
+        layer.save(str(path), plugin=PLUGIN)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("ending", [".ome.tif", ".ome.zarr"])
@@ -189,15 +226,18 @@ def test_uneven_times_of_the_recording_are_saved(make_napari_viewer_proxy, tmp_p
 
 
 def test_uneven_times_that_are_lost_are_told(make_napari_viewer_proxy, tmp_path):
-    """Of some planes of a layer; those of a video without a calibration are times of its playback."""
+    """By notifications, since napari's dialog discards warnings. Of some planes of a layer, and where they are lost:
+
+    times of a video without a calibration are those of its playback.
+    """
     write_images(tmp_path / "scan.ome.tif", frames(), ImageMetadata(frame_period_s=0.004, times_s=UNEVEN_S))
     write_avi(tmp_path / "video.avi", frames(), *DROPPED)
     viewer = make_napari_viewer_proxy()
     viewer.open([str(tmp_path / "scan.ome.tif"), str(tmp_path / "video.avi")], plugin=PLUGIN)
     of_scan, of_video = (viewer.layers[name].as_layer_data_tuple() for name in ("scan raw", "video raw"))
-    with pytest.warns(UserWarning, match="uneven in time, and these are 3 planes of 6 frames"):
-        write_image(str(tmp_path / "part.tif"), of_scan[0][:3], of_scan[1])
-    with pytest.warns(UserWarning, match=r"video\.avi has the times of its playback, and these are saved"):
-        write_image(str(tmp_path / "video.tif"), *of_video[:2])
+    write_image(str(tmp_path / "part.tif"), of_scan[0][:3], of_scan[1])
+    assert "uneven in time, and these are 3 planes of 6 frames" in notification_manager.records[-1].message
+    write_image(str(tmp_path / "video.tif"), *of_video[:2])
+    assert "video.avi has the times of its playback, and these are saved" in notification_manager.records[-1].message
     with open_recording(tmp_path / "video.tif") as back:
         np.testing.assert_allclose(back.times_s, [0.0, 0.02, 0.08, 0.1])

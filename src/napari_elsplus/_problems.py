@@ -39,11 +39,15 @@ class Problems:
         panel : QWidget, optional
             The panel whose action failed.
         """
-        self.resolve(panel)  # to the end of the order
         shown = message in self._messages.values()
-        self._messages[None if panel is None else id(panel)] = message
+        self.remember(message, panel)
         if not shown:
             show_error(message)
+
+    def remember(self, message: str, panel: QWidget | None = None) -> None:
+        """Remember a message that napari itself shows; parameters as of :meth:`report`."""
+        self.resolve(panel)  # to the end of the order
+        self._messages[None if panel is None else id(panel)] = message
 
     def resolve(self, panel: QWidget | None = None) -> None:
         """Forget the error of a panel, after an action that succeeded or when it is removed.

@@ -10,9 +10,11 @@ from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus._view import view_opened_layers
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, foreign_file
+from napari_elsplus.io.formats.tiff_folder import TiffFolder
 from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
@@ -29,16 +31,16 @@ NO_LAYERS: Final[list[tuple[Any, ...]]] = [(None,)]
 """By napari's convention: the file was read, and there is no layer to add."""
 
 
-def get_reader(path: str | Sequence[str]) -> Reader | None:
-    """Return the function that reads a path to layers, or None for several paths.
+def get_reader(path: str | Sequence[str]) -> Reader:
+    """Return the function that reads a path to layers, or several paths to those of one recording.
 
     Parameters
     ----------
     path : str or sequence of str
-        Dropped on napari; several paths are not read as one.
+        Dropped on napari; several to be opened as one stack.
     """
     if not isinstance(path, str):
-        return None
+        return read_frame_files
     file = Path(path)
     if file.suffix.lower() in CALIBRATION.suffixes:
         return read_calibration_file if is_calibration(file) else refuse_file
@@ -49,6 +51,20 @@ def refuse_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
     """Report that the file at `path` is none of ours: where no reader takes a file, napari prints a traceback."""
     problems.report(str(foreign_file(Path(str(path)))))
     return NO_LAYERS
+
+
+def read_frame_files(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
+    """Open the files at several paths, one frame each, as the recording of their folder, or report what is missing."""
+    files = {Path(one) for one in path}
+    folder, whole = min(files).parent, False
+    with notify_errors():
+        whole = set(TiffFolder(folder).files) == files
+        if not whole:
+            raise InputError(
+                f"these {len(files)} files are not all TIFFs of one folder",
+                "open the folder itself; files of a recording each are opened without stacking them",
+            )
+    return read_recording(str(folder)) if whole else NO_LAYERS
 
 
 def read_recording(path: str | Sequence[str]) -> list[tuple[Any, ...]]:

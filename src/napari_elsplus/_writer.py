@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import napari
 import numpy as np
 import pint
+from napari.utils import cancelable_progress
+from napari.utils.notifications import show_warning
 
-from napari_elsplus._problems import notify_errors
-from napari_elsplus.errors import InputError
+from napari_elsplus._problems import problems
+from napari_elsplus.errors import CancelledError, ElsPlusError, InputError, error_message
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
 from napari_elsplus.processing.images.modes import Mode
@@ -20,7 +21,9 @@ from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.viewing.provenance import provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.io import Recording
@@ -46,15 +49,19 @@ def write_image(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     Raises
     ------
     InputError
-        If the layer is in colour or has more dimensions, a plane cannot be read, or no format writes the suffix. Where
-        a viewer is open, it is displayed instead, and no file is returned: napari would print its traceback.
+        If the layer is in colour or has more dimensions, a plane cannot be read, no format writes the suffix, or the
+        user has cancelled it. napari displays the error, and the status line of the dock keeps it.
     OSError
         If the file cannot be written; displayed likewise.
     """
-    written: list[str] = []
-    with nullcontext() if napari.current_viewer() is None else notify_errors(), warnings.catch_warnings():
-        warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
-        written += _write(path, data, attributes)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UnreadablePlane)  # displayed as empty, which must not be saved
+            written = _write(path, data, attributes)
+    except (ElsPlusError, OSError) as error:
+        problems.remember(error_message(error))
+        raise
+    problems.resolve()
     return written
 
 
@@ -71,9 +78,27 @@ def _write(path: str, data: Any, attributes: dict[str, Any]) -> list[str]:
     if image.ndim == 2:
         write_mosaic(path, np.asarray(image), metadata, force=True)
     else:
-        planes = (np.asarray(image[index]) for index in range(len(image)))
-        write_images(path, planes, metadata, count=len(image), force=True)
+        write_images(path, _planes(image, path), metadata, count=len(image), force=True)
     return [path, *_calibration_of_raw(path, provenance)]
+
+
+def _planes(image: Any, path: str) -> Iterator[NDArray[Any]]:
+    """Yield the planes of a stack, between which the window answers, displays their number, and may cancel.
+
+    Raises
+    ------
+    CancelledError
+        If the user has cancelled it.
+    """
+    if napari.current_viewer() is None:
+        yield from map(np.asarray, image)
+        return
+    with cancelable_progress(total=len(image), desc=f"saving {path}") as bar:
+        for plane in image:
+            yield np.asarray(plane)
+            bar.update()
+            if bar.is_canceled:
+                raise CancelledError(f"{path} was not saved, as you cancelled it", "save it again when you like")
 
 
 def _calibration_of_raw(path: str, provenance: Mapping[str, Any]) -> list[str]:
@@ -118,14 +143,13 @@ def _times_s(provenance: Mapping[str, Any], count: int) -> tuple[float, ...] | N
     if uneven is None:
         return None
     if recording.camera_times_by(calibration) is None:
-        warnings.warn(f"{recording.path.name} has the times of its playback, and these are saved", stacklevel=3)
+        show_warning(f"{recording.path.name} has the times of its playback, and these are saved")
     kind = provenance.get("kind")
     per_image = Mode(kind).frames_per_image if kind in list(Mode) else 1
     if count != len(recording) // per_image:
-        warnings.warn(
+        show_warning(
             f"the frames of {recording.path.name} are uneven in time, and these are {count} planes of "
-            f"{len(recording)} frames: their interval is saved, not their times",
-            stacklevel=3,
+            f"{len(recording)} frames: their interval is saved, not their times"
         )
         return None
     return uneven[::per_image][:count]
