@@ -13,9 +13,9 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QLabel
 
 from napari_elsplus._view import FILLED, SETTLED_MS, TWO_DIMENSIONS
-from napari_elsplus.io import settings, write_calibration
+from napari_elsplus.io import open_recording, settings, write_calibration
 from napari_elsplus.workflows.sectioning import SectionedImages, section
-from pairs import calibration, frames, write_pair
+from pairs import FRAME_PERIOD_S, calibration, frames, write_pair
 
 PLUGIN = "napari-elsplus"
 
@@ -306,6 +306,31 @@ def test_a_recording_without_calibration_leaves_scale_bar_and_slider_of_the_othe
         assert viewer.dims.nsteps[0] <= len(frames())
         assert viewer.layers["bare raw"].metadata["elsplus"]["calibration"] is None
     assert any("bare raw has no calibration" in words for _, words in said())
+
+
+@pytest.mark.parametrize("names", [("scan.tif", "plate.tif"), ("plate.tif", "scan.tif")])
+def test_a_scan_beside_recordings_is_displayed_frame_by_frame(make_napari_viewer_proxy, tmp_path, said, names):
+    """Before: napari warned of inconsistent units, drew no scale bar, and had tens of thousands of slider steps."""
+    viewer = make_napari_viewer_proxy()
+    write_pair(tmp_path)
+    for file in (".tif", ".calibration.json"):
+        (tmp_path / f"plate{file}").write_bytes((tmp_path / f"scan{file}").read_bytes())
+    (tmp_path / "plate.depths.csv").write_text("depth_um\n" + "\n".join(str(5 * k) for k in range(6)))
+    for name in names:
+        viewer.open(str(tmp_path / name), plugin=PLUGIN)
+    assert said() == []
+    assert viewer.dims.nsteps[0] == 6
+    viewer.layers["scan ELS+"].visible = False
+    viewer.layers["plate ELS+"].visible = True
+    viewer.dims.set_current_step(0, 3)
+    assert viewer.canvas.overlays.text.text == "depth 15.0 µm"
+    layers = [viewer.layers[f"scan {title}"] for title in ("LS", "ELSA")]
+    assert layers[1].scale[0] == 2 * layers[0].scale[0]
+    for layer in layers:
+        layer.save(str(tmp_path / "saved.tif"), plugin=PLUGIN)
+        with open_recording(tmp_path / "saved.tif") as back:
+            frames_each = layers.index(layer) + 1
+            assert back.metadata["frame_period_s"] == pytest.approx(frames_each * FRAME_PERIOD_S)
 
 
 def test_the_depth_of_an_axial_scan_is_on_the_canvas_in_micrometres(make_napari_viewer_proxy, tmp_path):

@@ -5,25 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import napari
 from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus._problems import notify_errors, problems
-from napari_elsplus._view import view_opened_layers
+from napari_elsplus._view import open_in_viewer
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
 from napari_elsplus.io.formats.registry import CALIBRATION, foreign_file
 from napari_elsplus.io.formats.tiff_folder import TiffFolder
-from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import open_layers
 from napari_elsplus.viewing.outlines import calibration_layers
-from napari_elsplus.viewing.provenance import PROVENANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from napari_elsplus.viewing.layers import Layer
 
     Reader = Callable[[str | Sequence[str]], list[tuple[Any, ...]]]
 
@@ -74,7 +69,7 @@ def read_recording(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
         opened = open_layers(str(path), settings.active_calibration())
         for note in opened.notes:
             show_warning(note)
-        layers += _with_common_axes(opened.layers)
+        layers += open_in_viewer(opened.layers)
     return layers or NO_LAYERS
 
 
@@ -88,40 +83,3 @@ def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
             show_info(note)
         layers += [tuple(layer) for layer in opened.layers]
     return layers or NO_LAYERS
-
-
-def _with_common_axes(layers: list[Layer]) -> list[tuple[Any, ...]]:
-    """Return layers whose unknown axes are those of the calibrated layers in the viewer, with a warning."""
-    viewer = napari.current_viewer()
-    view_opened_layers(viewer, layers)
-    if viewer is None:
-        return [tuple(layer) for layer in layers]
-    reference, new, warned = reference_axes(viewer.layers), [], False
-    for data, words, kind in layers:
-        placed, adopted = adopt_axes(words, reference)
-        if adopted and not warned:
-            warned = True
-            show_warning(
-                f"{words['name']} has no calibration: it is displayed with the pixel size and frame rate of the other "
-                "layers, and not measured in micrometres or seconds"
-            )
-        new.append((data, placed, kind))
-    if reference is None:
-        _adopt_later(viewer, layers)
-    return new
-
-
-def _adopt_later(viewer: napari.Viewer, layers: list[Layer]) -> None:
-    """Give layers without a calibration that are open already the axes of calibrated layers that are being opened."""
-    steps = next((words for _, words, _ in layers if len(words["units"]) == 3 and PIXEL not in words["units"]), None)
-    if steps is None:
-        return
-    reference = tuple(steps["scale"]), tuple(steps["units"])
-    for layer in viewer.layers:
-        if layer.ndim != 3 or PROVENANCE not in layer.metadata:
-            continue
-        words = {name: getattr(layer, name) for name in ("scale", "translate", "units", "metadata")}
-        placed, adopted = adopt_axes(words, reference)
-        if adopted:
-            for name, value in placed.items():
-                setattr(layer, name, value)

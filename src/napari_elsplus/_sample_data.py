@@ -7,14 +7,13 @@ from dataclasses import replace
 from threading import Lock, current_thread, main_thread
 from typing import TYPE_CHECKING, Any, Final
 
-import napari
 import numpy as np
 from napari.utils import progress
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QEventLoop
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus._view import view_opened_layers
+from napari_elsplus._view import open_in_viewer
 from napari_elsplus.instrument.optics import preset
 from napari_elsplus.processing.compilation import compilation_remark, reported_compilation
 from napari_elsplus.processing.images.sectioning import Mode
@@ -77,7 +76,7 @@ def recording() -> list[tuple[Any, ...]]:
     raw[1]["visible"] = False
     *shown, elsa = image_layers(stack, frames.calibration)
     placed = side_by_side(shown)
-    return _opened([titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed])
+    return open_in_viewer([titles_above("fibres titles", placed, [mode.label for mode in SHOWN]), raw, elsa, *placed])
 
 
 @compilation_displayed()
@@ -93,7 +92,7 @@ def calibration_set() -> list[tuple[Any, ...]]:
         if name == "sweep":
             layer[1]["metadata"][PROVENANCE]["volts"] = taken.volts
         layers.append(layer)
-    return _opened(layers)
+    return open_in_viewer(layers)
 
 
 @compilation_displayed()
@@ -103,13 +102,7 @@ def axial_scan() -> list[tuple[Any, ...]]:
     stack = replace(stack, name="plate")
     raw = raw_layer(stack, calibration)
     raw[1]["visible"] = False
-    return _opened([raw, *image_layers(stack, calibration)])
-
-
-def _opened(layers: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Return layers of a sample, between which the window answers when napari adds them."""
-    view_opened_layers(napari.current_viewer(), layers)
-    return layers
+    return open_in_viewer([raw, *image_layers(stack, calibration)])
 
 
 def _planes(frames: RenderedFrames) -> LazyPlanes:

@@ -6,19 +6,19 @@ import weakref
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+import napari
 import numpy as np
 from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEventLoop, QTimer
 from qtpy.QtWidgets import QApplication
 
-from napari_elsplus.viewing.common_axes import PIXEL
+from napari_elsplus.viewing.common_axes import PIXEL, adopt_axes, reference_axes, unit_name
 from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE, provenance_of
 from napari_elsplus.viewing.stack import TIME
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    import napari.viewer
     from napari.layers import Layer
     from numpy.typing import NDArray
 
@@ -33,7 +33,7 @@ TWO_DIMENSIONS: Final = (
 )
 
 
-def fit_visible_layers(viewer: napari.viewer.Viewer, parts: Mapping[Layer, NDArray[np.float64]] | None = None) -> None:
+def fit_visible_layers(viewer: napari.Viewer, parts: Mapping[Layer, NDArray[np.float64]] | None = None) -> None:
     """Fit the visible layers into the canvas.
 
     napari's reset of the view fits the hidden ones, too, among them raw frames that are wider than their images.
@@ -55,7 +55,7 @@ def fit_visible_layers(viewer: napari.viewer.Viewer, parts: Mapping[Layer, NDArr
     viewer.scene.camera.zoom = FILLED * float((viewer.canvas.size / np.maximum(high - low, 1e-9)).min())
 
 
-def remove_layers(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None:
+def remove_layers(viewer: napari.Viewer, layers: Sequence[Layer]) -> None:
     """Remove `layers` from a `viewer` at once: napari collects all garbage after each removal, for half a second."""
     if layers:
         with viewer.layers.batched_update():
@@ -64,7 +64,7 @@ def remove_layers(viewer: napari.viewer.Viewer, layers: Sequence[Layer]) -> None
 
 
 class HiddenLayers:
-    """The user's layers while others are displayed in their place; shown and selected again afterwards.
+    """The user's layers while others are displayed in their place; shown in the same view and selected afterwards.
 
     Parameters
     ----------
@@ -72,13 +72,23 @@ class HiddenLayers:
         The viewer.
     """
 
-    def __init__(self, viewer: napari.viewer.Viewer) -> None:
+    def __init__(self, viewer: napari.Viewer) -> None:
         self._viewer = viewer
         self._hidden: list[Layer] = []
         self._selected: set[Layer] = set()
+        self._view: tuple[int, Any, float] | None = None
+
+    @property
+    def active(self) -> bool:
+        """True from :meth:`hide` to :meth:`restore`."""
+        return self._view is not None
 
     def hide(self, ours: Collection[Layer] = ()) -> None:
-        """Hide the visible layers but `ours`, in addition to those that are hidden already."""
+        """Hide the visible layers but `ours`, besides those that are hidden already, and display two dimensions."""
+        dims, camera = self._viewer.dims, self._viewer.scene.camera
+        if self._view is None:
+            self._view = dims.ndisplay, camera.center, camera.zoom
+        dims.ndisplay = 2
         self._selected = set(self._viewer.layers.selection)
         for layer in self._viewer.layers:
             if layer.visible and layer not in ours:
@@ -86,14 +96,18 @@ class HiddenLayers:
                 self._hidden.append(layer)
 
     def restore(self) -> None:
-        """Show those that were hidden, and select what was selected, as far as they are still in the viewer."""
+        """Show those that were hidden, in the view of before, and select what was selected, as far as it is there."""
         hidden, self._hidden = self._hidden, []
+        view, self._view = self._view, None
         for layer in self._viewer.layers:
             if layer in hidden:
                 layer.visible = True
         if selected := self._selected.intersection(self._viewer.layers):
             self._viewer.layers.selection = selected
         self._selected = set()
+        if view is not None:
+            self._viewer.dims.ndisplay, *camera = view
+            self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = camera
 
 
 def answer() -> None:
@@ -101,7 +115,53 @@ def answer() -> None:
     QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
 
-def view_opened_layers(viewer: napari.viewer.Viewer | None, layers: Sequence[tuple[Any, ...]]) -> None:
+def open_in_viewer(layers: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return layers that are being opened with the axes of those in the viewer where their own are unknown, or others.
+
+    Unknown axes are those of calibrated layers, with a warning; a scan beside recordings, or a recording beside a scan,
+    is displayed frame by frame. The viewer answers between the layers (:func:`view_opened_layers`).
+
+    Parameters
+    ----------
+    layers : sequence of tuple
+        (data, attributes, type) each.
+    """
+    viewer = napari.current_viewer()
+    if viewer is None:
+        return [tuple(layer) for layer in layers]
+    view_opened_layers(viewer, layers)
+    reference, new, warned = reference_axes(viewer.layers), [], False
+    for data, words, kind in layers:
+        placed, unknown = adopt_axes(words, reference)
+        if unknown and not warned:
+            warned = True
+            show_warning(
+                f"{words['name']} has no calibration: it is displayed with the pixel size and frame rate of the other "
+                "layers, and not measured in micrometres or seconds"
+            )
+        new.append((data, placed, kind))
+    if reference is None:
+        _adopt_later(viewer, layers)
+    return new
+
+
+def _adopt_later(viewer: napari.Viewer, layers: Sequence[tuple[Any, ...]]) -> None:
+    """Give layers without a calibration that are open already the axes of calibrated layers that are being opened."""
+    steps = next((words for _, words, _ in layers if len(words["units"]) == 3 and PIXEL not in words["units"]), None)
+    if steps is None:
+        return
+    reference = tuple(steps["scale"]), tuple(map(unit_name, steps["units"]))
+    for layer in viewer.layers:
+        if layer.ndim != 3 or PROVENANCE not in layer.metadata:
+            continue
+        words = {name: getattr(layer, name) for name in ("scale", "translate", "units", "metadata")}
+        placed, adopted = adopt_axes(words, reference)
+        if adopted:
+            for name, value in placed.items():
+                setattr(layer, name, value)
+
+
+def view_opened_layers(viewer: napari.Viewer, layers: Sequence[tuple[Any, ...]]) -> None:
     """Answer between the layers that are being opened; display the first frame of those in a viewer that had none.
 
     napari inserts all layers of a file in one turn of the event loop. Each takes a tenth of a second, and several on a
@@ -110,19 +170,19 @@ def view_opened_layers(viewer: napari.viewer.Viewer | None, layers: Sequence[tup
     and fits hidden raw frames, too; it displays the middle frame, where an axial scan is dark, and whose grey levels
     are not those that the contrast is set by.
 
-    Parameters
-    ----------
-    viewer : napari.Viewer or None
-        Into which they are opened. From then on the depth of a visible axial scan is written on its canvas, and the
-        time of recordings stays on its slider. Its view is left as it is where it displays three dimensions, or a
-        script has set it meanwhile. The scale bar is shown where the scale is known.
-
     Images that lie side by side under titles, those of a sample and live ones, are hidden: what is opened would lie
     over one of them, under its title.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        Into which they are opened. From then on the depth of a visible axial scan is written on its canvas, and
+        recordings stay in two dimensions. Its view is left as it is where it displays three, or a script has set it
+        meanwhile. The scale bar is shown where the scale is known.
     layers : sequence of tuple
         (data, attributes, type) each. Two dimensions are displayed if the first axis of one is time.
     """
-    if viewer is None or QApplication.instance() is None:
+    if QApplication.instance() is None:
         return
     opened, inserted, left = weakref.ref(viewer), viewer.layers.events.inserted, [len(layers)]
     first = not len(viewer.layers)
@@ -146,7 +206,7 @@ def view_opened_layers(viewer: napari.viewer.Viewer | None, layers: Sequence[tup
     inserted.connect(answer_to, position="last")  # after napari's own reset of the view
 
 
-def _fit_unless_moved(opened: weakref.ref[napari.viewer.Viewer], view: list[object]) -> None:
+def _fit_unless_moved(opened: weakref.ref[napari.Viewer], view: list[object]) -> None:
     viewer = opened()
     if viewer is None or not len(viewer.layers) or viewer.dims.ndisplay != 2:
         return
@@ -156,12 +216,12 @@ def _fit_unless_moved(opened: weakref.ref[napari.viewer.Viewer], view: list[obje
         viewer.canvas.overlays.scale_bar.visible = True
 
 
-def _view_of(viewer: napari.viewer.Viewer | None) -> list[object]:
+def _view_of(viewer: napari.Viewer | None) -> list[object]:
     """Return centre and zoom of a viewer's camera."""
     return [] if viewer is None else [tuple(viewer.scene.camera.center), viewer.scene.camera.zoom]
 
 
-def _hide_side_by_side(viewer: napari.viewer.Viewer) -> bool:
+def _hide_side_by_side(viewer: napari.Viewer) -> bool:
     """Hide layers that give way to what is opened, and return True if any was visible."""
     covered = [layer for layer in viewer.layers if layer.visible and provenance_of(layer.metadata).get(GIVES_WAY)]
     for layer in covered:
@@ -169,7 +229,7 @@ def _hide_side_by_side(viewer: napari.viewer.Viewer) -> bool:
     return bool(covered)
 
 
-def _watch(viewer: napari.viewer.Viewer) -> None:
+def _watch(viewer: napari.Viewer) -> None:
     """Keep the time of recordings on the slider of a viewer, and the depth of a scan on its canvas; once per viewer."""
     dims, layers = viewer.dims.events, viewer.layers.events
     if any(getattr(callback, "keywords", {}).get("name") == _WATCHED for callback in dims.point.callbacks):
@@ -180,7 +240,7 @@ def _watch(viewer: napari.viewer.Viewer) -> None:
     dims.ndisplay.connect(partial(_keep_two_dimensions, viewer), position="first", after=list(camera))
 
 
-def _keep_two_dimensions(viewer: napari.viewer.Viewer, event: Any) -> None:
+def _keep_two_dimensions(viewer: napari.Viewer, event: Any) -> None:
     ours = [layer for layer in viewer.layers if layer.visible and PROVENANCE in layer.metadata]
     if viewer.dims.ndisplay > 2 and any(layer.axis_labels[0] == TIME for layer in ours):
         event.blocked = True  # those that follow are called for what is set here
@@ -188,7 +248,7 @@ def _keep_two_dimensions(viewer: napari.viewer.Viewer, event: Any) -> None:
         show_warning(TWO_DIMENSIONS)
 
 
-def _show_depth(viewer: napari.viewer.Viewer, _event: Any = None, *, name: str) -> None:
+def _show_depth(viewer: napari.Viewer, _event: Any = None, *, name: str) -> None:
     """Write the depth of a visible axial scan on the canvas, in micrometres."""
     overlay, text = viewer.canvas.overlays.text, ""
     for layer in viewer.layers:

@@ -15,10 +15,10 @@ from napari_elsplus._problems import problems
 from napari_elsplus.errors import CancelledError, ElsPlusError, InputError, error_message
 from napari_elsplus.io import ImageMetadata, beside, write_calibration, write_images, write_mosaic
 from napari_elsplus.io.frame_times import median_period_s, uneven_times_s
-from napari_elsplus.processing.images.modes import Mode
-from napari_elsplus.viewing.common_axes import adopted_axes
+from napari_elsplus.viewing.common_axes import adopted_axes, frames_per_image
 from napari_elsplus.viewing.lazy import UnreadablePlane
 from napari_elsplus.viewing.provenance import provenance_of
+from napari_elsplus.viewing.stack import first_axis
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -124,7 +124,11 @@ def _steps(attributes: Mapping[str, Any], ndim: int) -> tuple[float | None, floa
     scale: Sequence[float] = attributes.get("scale", (1.0,) * ndim)
     units: Sequence[Any] = attributes.get("units") or ("pixel",) * ndim
     adopted = adopted_axes(attributes.get("metadata"), ndim)
-    step_s = _in(units[0], "second", scale[0]) if ndim == 3 and not adopted[0] else None
+    first, provenance = (units[0], scale[0]), provenance_of(attributes.get("metadata"))
+    if adopted[0] and ndim == 3 and provenance.get("stack") is not None:
+        own = first_axis(provenance["stack"], provenance.get("calibration"))
+        first = own["units"], own["scale"] * frames_per_image(provenance["kind"])
+    step_s = _in(first[0], "second", first[1]) if ndim == 3 else None
     return step_s, None if adopted[-1] else _in(units[-1], "micrometer", scale[-1])
 
 
@@ -145,7 +149,7 @@ def _times_s(provenance: Mapping[str, Any], count: int) -> tuple[float, ...] | N
     if recording.camera_times_by(calibration) is None:
         show_warning(f"{recording.path.name} has the times of its playback, and these are saved")
     kind = provenance.get("kind")
-    per_image = Mode(kind).frames_per_image if kind in list(Mode) else 1
+    per_image = frames_per_image(kind)
     if count != len(recording) // per_image:
         show_warning(
             f"the frames of {recording.path.name} are uneven in time, and these are {count} planes of "

@@ -36,13 +36,19 @@ def test_a_layer_that_the_user_removes_stays_away_and_what_was_hidden_is_shown_a
     mine = viewer.add_points([[1.0, 1.0]], name="mine")
     viewer.add_points([[1.0, 1.0]], name="hidden", visible=False)
     viewer.layers.selection = {mine}
+    camera = viewer.scene.camera
+    camera.center, camera.zoom = (0.0, 1.0, 1.0), 40.0
+    view = camera.center, camera.zoom
     lit = list(transmission(Instrument.of("240hz")))[:2]
     shown, layers = ShownResult(measure_pair(lit), setup_of(lit), None, None), BundleLayers(viewer)
     layers.show(shown, Draft())
     assert not mine.visible
+    middle = viewer.layers[IMAGE].extent.world.mean(axis=0)
+    assert camera.center[-2:] == pytest.approx(middle, abs=20.0), "before: most of it lay beside the canvas"
     viewer.layers.remove(IMAGE)
     layers.show(shown, Draft())
     assert [layer.name for layer in viewer.layers] == ["mine", "hidden", OUTLINES]
     layers.show(None, Draft())
     assert [(layer.name, layer.visible) for layer in viewer.layers] == [("mine", True), ("hidden", False)]
     assert viewer.layers.selection.active == mine
+    assert (camera.center, camera.zoom) == view

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
 
 if TYPE_CHECKING:
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 ADOPTED: Final = "axes_adopted"
 """Key in the metadata of a layer that has axes of another layer, not measured: for each axis, True if it is one."""
 PIXEL: Final = "pixel"
+_NAMES: Final = {"s": "second", "um": "micrometer"}
 
 
 def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str, ...]] | None:
@@ -23,11 +25,21 @@ def reference_axes(layers: Sequence[Any]) -> tuple[tuple[float, ...], tuple[str,
         Those of a viewer.
     """
     for layer in layers:
-        units = tuple(str(unit) for unit in layer.units)
+        units = tuple(map(unit_name, layer.units))
         known = layer.ndim == 3 and PIXEL not in units and ADOPTED not in provenance_of(layer.metadata)
         if known and PROVENANCE in layer.metadata:
             return tuple(float(step) for step in layer.scale), units
     return None
+
+
+def frames_per_image(kind: str | None) -> int:
+    """Return the number of raw frames of an image of a layer, by its kind: a mode, or another."""
+    return Mode(kind).frames_per_image if kind in list(Mode) else 1
+
+
+def unit_name(unit: object) -> str:
+    """Return the name of a unit that layers are given by name, symbol, or as an object of napari's."""
+    return _NAMES.get(str(unit), str(unit))
 
 
 def adopted_axes(metadata: Mapping[str, Any] | None, ndim: int) -> tuple[bool, ...]:
@@ -75,7 +87,9 @@ def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> tuple[dict[str
 def adopt_axes(
     words: dict[str, Any], reference: tuple[tuple[float, ...], tuple[str, ...]] | None
 ) -> tuple[dict[str, Any], bool]:
-    """Return a layer's attributes with unknown axes replaced by those of a reference, and True if any was.
+    """Return a layer's attributes with unknown axes replaced by those of a reference, and True if any was unknown.
+
+    A first axis of another kind is replaced, too: depth beside time, or time beside depth.
 
     Parameters
     ----------
@@ -89,14 +103,18 @@ def adopt_axes(
     The frame index and pixels then coincide with those of the other layers. Measurements take scale and timing from
     the recording and its calibration, and remain in pixels.
     """
-    units = [str(unit) for unit in words.get("units", ())]
-    if reference is None or len(units) != 3 or PIXEL not in units:
+    units = [unit_name(unit) for unit in words.get("units", ())]
+    if reference is None or len(units) != 3:
         return words, False
     unknown, scale, translate = [unit == PIXEL for unit in units], list(words["scale"]), list(words["translate"])
+    adopts = [unknown[0] or units[0] != reference[1][0], *unknown[1:]]
+    if not any(adopts):
+        return words, False
+    kind = words["metadata"][PROVENANCE]["kind"]
     for axis, (step, unit) in enumerate(zip(*reference, strict=True)):
-        if unknown[axis]:
-            translate[axis] *= step / scale[axis]
-            scale[axis], units[axis] = step, unit
-    facts = {**words["metadata"][PROVENANCE], ADOPTED: tuple(unknown)}
+        if adopts[axis]:
+            translate[axis] *= step / scale[axis] if axis else 0.0
+            scale[axis], units[axis] = step * (1 if axis else frames_per_image(kind)), unit
+    facts = {**words["metadata"][PROVENANCE], ADOPTED: tuple(adopts)}
     adopted = {"scale": tuple(scale), "translate": tuple(translate), "units": tuple(units)}
-    return {**words, **adopted, "metadata": {**words["metadata"], PROVENANCE: facts}}, True
+    return {**words, **adopted, "metadata": {**words["metadata"], PROVENANCE: facts}}, any(unknown)

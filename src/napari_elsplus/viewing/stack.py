@@ -115,7 +115,8 @@ def images_origin_px(calibration: Calibration) -> tuple[float, float]:
     return row - middle, col - middle
 
 
-def _first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]:
+def first_axis(stack: Stack, calibration: Calibration | None) -> dict[str, Any]:
+    """Return scale, translation, unit and label of the first axis of a stack, from its file or a calibration."""
     if stack.depth_um is not None:
         steps = np.diff(stack.depth_um)
         even = len(steps) > 0 and steps[0] > 0 and np.allclose(steps, steps[0], rtol=1e-3)
@@ -150,7 +151,7 @@ def attributes(
     origin_px : tuple of float
         Row and column of the image's first pixel.
     """
-    place, first = space(um_per_px_of(stack, calibration), origin_px), _first_axis(stack, calibration)
+    place, first = space(um_per_px_of(stack, calibration), origin_px), first_axis(stack, calibration)
     return {"name": f"{stack.name} {title}"} | {key: (first[key], *place[key]) for key in place}
 
 

@@ -11,6 +11,7 @@ from napari.layers import Image, Points, Shapes
 from napari.utils import Colormap
 
 from napari_elsplus._view import HiddenLayers, answer, fit_visible_layers
+from napari_elsplus.viewing.common_axes import adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
 from napari_elsplus.viewing.stack import attributes, provenance
 
@@ -78,7 +79,6 @@ class ComparisonLayers:
         self._line: Shapes | None = None
         self._titles: Points | None = None
         self._title_texts: list[str] = []
-        self._view: tuple[int, Any, float] | None = None
         self._setting_line = False
         self.images: list[Image] = []
 
@@ -125,18 +125,15 @@ class ComparisonLayers:
             Ends of the line, (row, col) in pixels of the images; across the middle if there is none.
         """
         gc.freeze()  # napari collects garbage at the end: of what is made from now on, not of all that a process holds
-        camera, dims = self._viewer.scene.camera, self._viewer.dims
-        self._view = dims.ndisplay, camera.center, camera.zoom
-        dims.ndisplay = 2  # a third dimension would be time: all frames at once
         self._hidden.hide()
         answer()
         self._side = images[0].planes.shape[-1]
         self._offsets_px = [index * (self._side + GAP_PX) if apart else 0 for index in range(len(images))]
         made = self._made(images, stack, calibration, line)
-        while self._view is not None and (layer := next(made, None)) is not None:
+        while self._hidden.active and (layer := next(made, None)) is not None:
             self._viewer.layers.append(layer)
             answer()
-        if self._view is not None:
+        if self._hidden.active:
             fit_visible_layers(self._viewer)  # not ended while the window answered
 
     def end(self) -> None:
@@ -149,10 +146,6 @@ class ComparisonLayers:
         gc.unfreeze()
         self._hidden.restore()
         answer()
-        if self._view is not None:
-            self._viewer.dims.ndisplay, *camera = self._view
-            self._viewer.scene.camera.center, self._viewer.scene.camera.zoom = camera
-            self._view = None
 
     def set_line(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Draw the line on every image.
@@ -199,6 +192,7 @@ class ComparisonLayers:
             options = attributes(stack, one.title, calibration, origin_px=(0, offset))
             options["name"] = f"{PREFIX} {one.title}"
             options["metadata"] = provenance(stack, options["name"], calibration, None)
+            options, _ = adopt_axes(options, reference_axes(self._viewer.layers))
             image = Image(
                 one.planes.dask(), cache=False, colormap=SIGNED if one.signed else "gray",
                 interpolation2d=SMOOTH, **options,

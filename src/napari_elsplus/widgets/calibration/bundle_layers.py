@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from napari_elsplus._view import HiddenLayers, remove_layers
+from napari_elsplus._view import HiddenLayers, fit_visible_layers, remove_layers
 from napari_elsplus.processing.calibration.bundle.pair import BundlePair
 from napari_elsplus.processing.calibration.steps import PAIR
 from napari_elsplus.viewing.common_axes import plane_axes
@@ -27,7 +27,7 @@ class BundleLayers:
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer. Its other layers are hidden while a bundle pair is displayed.
+        The viewer. Its other layers are hidden while a bundle pair is displayed, which fills the canvas.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
@@ -61,6 +61,9 @@ class BundleLayers:
             self._hidden.hide()
             image = self._viewer.add_image(pair.image, name=IMAGE, **placed)
             self._layers = [image, self._viewer.add_shapes(data, **{**attributes, **placed})]
+        rescaled = tuple(self._layers[0].scale) != placed["scale"]
         for layer in self._layers:
             layer.scale, layer.units = placed["scale"], placed["units"]
         self._layers[0].metadata[PROVENANCE] = {"kind": IMAGE, **adopted}
+        if rescaled or not same:
+            fit_visible_layers(self._viewer)
