@@ -309,13 +309,14 @@ def test_a_recording_without_calibration_leaves_scale_bar_and_slider_of_the_othe
 
 
 @pytest.mark.parametrize("names", [("scan.tif", "plate.tif"), ("plate.tif", "scan.tif")])
-def test_a_scan_beside_recordings_is_displayed_frame_by_frame(make_napari_viewer_proxy, tmp_path, said, names):
+@pytest.mark.parametrize("power", [1, 2])
+def test_a_scan_beside_recordings_is_displayed_frame_by_frame(make_napari_viewer_proxy, tmp_path, said, names, power):
     """Before: napari warned of inconsistent units, drew no scale bar, and had tens of thousands of slider steps."""
     viewer = make_napari_viewer_proxy()
     write_pair(tmp_path)
     for file in (".tif", ".calibration.json"):
         (tmp_path / f"plate{file}").write_bytes((tmp_path / f"scan{file}").read_bytes())
-    (tmp_path / "plate.depths.csv").write_text("depth_um\n" + "\n".join(str(5 * k) for k in range(6)))
+    (tmp_path / "plate.depths.csv").write_text("depth_um\n" + "\n".join(str(5 * k**power) for k in range(6)))
     for name in names:
         viewer.open(str(tmp_path / name), plugin=PLUGIN)
     assert said() == []
@@ -323,7 +324,7 @@ def test_a_scan_beside_recordings_is_displayed_frame_by_frame(make_napari_viewer
     viewer.layers["scan ELS+"].visible = False
     viewer.layers["plate ELS+"].visible = True
     viewer.dims.set_current_step(0, 3)
-    assert viewer.canvas.overlays.text.text == "depth 15.0 µm"
+    assert viewer.canvas.overlays.text.text == f"depth {5 * 3**power:.1f} µm"
     layers = [viewer.layers[f"scan {title}"] for title in ("LS", "ELSA")]
     assert layers[1].scale[0] == 2 * layers[0].scale[0]
     for layer in layers:

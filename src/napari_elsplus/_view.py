@@ -132,8 +132,8 @@ def open_in_viewer(layers: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     view_opened_layers(viewer, layers)
     reference, new, warned = reference_axes(viewer.layers), [], False
     for data, words, kind in layers:
-        placed, unknown = adopt_axes(words, reference)
-        if unknown and not warned:
+        placed, uncalibrated = adopt_axes(words, reference)
+        if uncalibrated and not warned:
             warned = True
             show_warning(
                 f"{words['name']} has no calibration: it is displayed with the pixel size and frame rate of the other "
@@ -155,8 +155,8 @@ def _adopt_later(viewer: napari.Viewer, layers: Sequence[tuple[Any, ...]]) -> No
         if layer.ndim != 3 or PROVENANCE not in layer.metadata:
             continue
         words = {name: getattr(layer, name) for name in ("scale", "translate", "units", "metadata")}
-        placed, adopted = adopt_axes(words, reference)
-        if adopted:
+        placed, _ = adopt_axes(words, reference)
+        if placed is not words:
             for name, value in placed.items():
                 setattr(layer, name, value)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from napari_elsplus.processing.images.modes import Mode
 from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+from napari_elsplus.viewing.stack import TIME
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -87,14 +88,15 @@ def plane_axes(um_per_px: float | None, layers: Sequence[Any]) -> tuple[dict[str
 def adopt_axes(
     words: dict[str, Any], reference: tuple[tuple[float, ...], tuple[str, ...]] | None
 ) -> tuple[dict[str, Any], bool]:
-    """Return a layer's attributes with unknown axes replaced by those of a reference, and True if any was unknown.
+    """Return a layer's attributes with unknown axes replaced by those of a reference, and True if it is uncalibrated.
 
     A first axis of another kind is replaced, too: depth beside time, or time beside depth.
 
     Parameters
     ----------
     words : dict
-        Attributes of a layer (T, rows, cols): ``scale``, ``units``, ``translate`` and ``metadata``.
+        Attributes of a layer (T, rows, cols): ``scale``, ``units``, ``translate`` and ``metadata``, and where it may be
+        an axial scan ``axis_labels``.
     reference : tuple or None
         From :func:`reference_axes`.
 
@@ -117,4 +119,6 @@ def adopt_axes(
             scale[axis], units[axis] = step * (1 if axis else frames_per_image(kind)), unit
     facts = {**words["metadata"][PROVENANCE], ADOPTED: tuple(adopts)}
     adopted = {"scale": tuple(scale), "translate": tuple(translate), "units": tuple(units)}
-    return {**words, **adopted, "metadata": {**words["metadata"], PROVENANCE: facts}}, any(unknown)
+    scan = words.get("axis_labels", (TIME,))[0] != TIME
+    uncalibrated = any(unknown[1:] if scan else unknown)  # depths in uneven steps have no unit either
+    return {**words, **adopted, "metadata": {**words["metadata"], PROVENANCE: facts}}, uncalibrated

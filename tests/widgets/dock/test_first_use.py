@@ -50,15 +50,18 @@ def test_every_panel_names_the_next_action_until_it_is_done(dock, qtbot, drop, t
 def test_a_recording_that_is_opened_is_chosen_unless_another_is_compared(dock, qtbot, drop, tmp_path):
     """Before: the sample stayed chosen, and the mosaic was not of the recording that had just been opened."""
     choices = [panel(dock, "Compare").recording, panel(dock, "Mosaic").form.recording]
+    choices += [panel(dock, "Quality").recording, panel(dock, "Axial response").stack]
     for name in ("first", "second"):
-        drop(panel(dock, "Compare"), write_pair(tmp_path, name=name))
-        assert [choice.value for choice in choices] == [f"{name} raw"] * 2
+        path = write_pair(tmp_path, name=name)
+        path.with_name(f"{name}.depths.csv").write_text("depth_um\n" + "\n".join(map(str, range(6))))
+        drop(panel(dock, "Compare"), path)
+        assert [choice.value for choice in choices] == [f"{name} raw"] * 4
     dock.viewer.layers["first raw"].name = "renamed"
-    assert [choice.value for choice in choices] == ["second raw"] * 2
+    assert [choice.value for choice in choices] == ["second raw"] * 4
     panel(dock, "Compare").begin()
     qtbot.waitUntil(lambda: panel(dock, "Compare").comparing, timeout=60_000)
     drop(panel(dock, "Compare"), write_pair(tmp_path, name="third"))
-    assert [choice.value for choice in choices] == ["second raw", "third raw"]
+    assert [choice.value for choice in choices] == ["second raw", "third raw", "third raw", "second raw"]
 
 
 def test_without_a_rig_the_steps_end_with_save_and_a_recording_for_a_live_one_is_refused(

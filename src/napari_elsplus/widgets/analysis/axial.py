@@ -244,7 +244,7 @@ class AxialResponsePanel(AnalysisPanel):
         self._layers_changed()
 
     def _layers_changed(self) -> None:
-        self.stack.refresh()
+        self.stack.refresh(newest=not self.work.busy)
         self.live.refresh(newest=not self._depths)
         idle, stacks = not self.work.busy, bool(self.stack.choices)
         set_enabled(

@@ -247,7 +247,7 @@ class QualityPanel(AnalysisPanel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        self.recording.refresh()
+        self.recording.refresh(newest=not self.work.busy)
         if self.recording.value is None:
             self.alignment = None
         self._recording_changed()

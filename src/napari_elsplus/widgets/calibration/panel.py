@@ -223,8 +223,7 @@ class CalibrationPanel(EnginePanel):
         with notify_errors(self):
             history = history_beside(self.sharing.file)
             saved = partial(save_calibration_report, self.draft, Path(path), history=history, force=True)
-            done = lambda pages: show_info(f"saved {Path(path).name}: {pages} pages")  # noqa: E731
-            self.work.begin(0, saved, done, saves=True)
+            self.work.begin(0, saved, lambda pages: show_info(f"saved {Path(path).name}: {pages} pages"), saves=True)
 
     def copy_script(self) -> None:
         """Copy Python that makes this calibration again to the clipboard."""

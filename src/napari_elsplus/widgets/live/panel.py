@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from napari.utils.notifications import show_info
@@ -125,8 +126,7 @@ class LivePanel(EnginePanel):
         client = self.connection.client
         recorded = None if client is None else client.status.recording
         if recorded is not None and not recorded.running:
-            with notify_errors(self):
-                self.viewer.open(recorded.path, plugin="napari-elsplus")
+            self.open_dropped(Path(recorded.path))
 
     def change_view(self) -> None:
         """Apply the form's processing to live images."""

@@ -28,6 +28,7 @@ from napari_elsplus.widgets.shared.panel import (
     next_hint,
     panel_layout,
     push_button,
+    set_enabled,
     text_label,
     timer,
 )
@@ -148,32 +149,18 @@ class RigPanel(EnginePanel):
         self.rig.enabled = not connected and not busy
         for field in (self.preset, self.slit_rows, self.rate_hz, self.gain_db):
             field.enabled = connected or not busy  # what is typed while it connects would be lost
-        self.parking.enabled, self.open_file.enabled = connected or busy, connected
-        self.parking.tooltip = (
-            f"Move the laser line off the bundle ({key_name('park')}){'' if connected else '; connect first'}"
-        )
-        self.open_file.tooltip = "Make a calibration file the active calibration" if connected else "Connect first"
-        self.save_file.enabled = self.connection.calibration is not None
-        self.save_file.tooltip = (
-            "Write the active calibration; recordings without a calibration are displayed with it"
-            if self.save_file.enabled
-            else "No calibration yet"
-        )
-        self.forgetting.enabled = self.save_file.enabled or active_calibration() is not None
-        self.forgetting.tooltip = (
-            "Leave no calibration active: live images are raw, recordings without their own are displayed raw"
-            if self.forgetting.enabled
-            else "No calibration yet"
-        )
-        self.calibrate_simulated.enabled = connected and simulated
+        calibrated, none = self.connection.calibration is not None, "calibrate, or load a calibration"
+        parks = f"Move the laser line off the bundle ({key_name('park')})"
+        set_enabled(self.parking, connected or busy, parks, "connect")
+        set_enabled(self.open_file, connected, "Make a calibration file the active calibration", "connect")
+        saves = "Write the active calibration; recordings without a calibration are displayed with it"
+        set_enabled(self.save_file, calibrated, saves, none)
+        forgets = "Leave no calibration active: live images are raw, recordings without their own are displayed raw"
+        set_enabled(self.forgetting, calibrated or active_calibration() is not None, forgets, none)
+        measures = "Measure offset, galvo, view alignment, scan lag and background; runs unattended"
+        real = "connect to the simulated rig; the Calibration panel calibrates others"
+        set_enabled(self.calibrate_simulated, connected and simulated, measures, real)
         self.calibrate_simulated.text = "Cancel calibration" if progress is not None else "Calibrate simulated rig"
-        self.calibrate_simulated.tooltip = (
-            "Measure offset, galvo, view alignment, scan lag and background; runs unattended"
-            if simulated
-            else "Only the simulated rig changes its targets unattended; use the Calibration panel"
-            if connected
-            else "Connect first"
-        )
         self.lag.visible = connected and bool(lag_advice(self.connection.calibration))
         self.lag.enabled = not busy
         self.rehearsal.allow(not connected and not busy)

@@ -378,9 +378,7 @@ class MosaicPanel(EnginePanel):
         self.refresh()
 
     def _ask_for_file(self) -> None:
-        choose_file_to_read(
-            self, "Recording", recordings_filter(), lambda path: self.viewer.open(path, plugin="napari-elsplus")
-        )
+        choose_file_to_read(self, "Recording", recordings_filter(), self.open_dropped)
 
     def _ask_where_to_save(self) -> None:
         kinds = dialog_filter(TIFF, writing=True)
