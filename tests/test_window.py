@@ -51,6 +51,22 @@ def test_the_window_shows_what_the_manifest_offers(
     assert viewer.scene.camera.center[-2:] == pytest.approx((visible.min((0, 1)) + visible.max((0, 1))) / 2)
 
 
+def test_each_panel_is_in_the_menu_where_napari_keeps_its_kind(
+    make_napari_viewer: Any, npe2pm: Any, manifest: PluginManifest
+) -> None:
+    npe2pm.register(manifest)
+    bar = make_napari_viewer().window._qt_window.menuBar()
+    menus = {action.text(): action.menu() for action in bar.actions()}
+    for kind in ("&File/Acquire", "&Layers/Visualize", "&Layers/Measure", "&Layers/Register"):
+        top, name = kind.split("/")
+        (menu,) = [action.menu() for action in menus[top].actions() if action.text() == name]
+        menus[kind] = {action.text().removesuffix(" (ELS+ endomicroscopy)") for action in menu.actions()}
+    assert menus["&File/Acquire"] >= {"Rig", "Live"}
+    assert menus["&Layers/Visualize"] >= {"Compare"}
+    assert menus["&Layers/Measure"] >= {"Axial response", "Quality"}
+    assert menus["&Layers/Register"] >= {"Mosaic"}
+
+
 def test_the_window_is_drawn_between_the_kernels_that_a_sample_compiles(qtbot: Any) -> None:
     """Before: it stood still for 13 s when the first sample after an installation was opened."""
     drawn: list[bool] = []

@@ -46,7 +46,7 @@ def test_the_window_closes_once_a_result_is_saved_and_asks_nothing(window, qtbot
     panel.question, panel.writes = "It was not saved. Discard it?", True
     for _ in range(2):
         assert not window.close()
-    assert [words for _, words in said()] == ["a result is being saved; the window closes when it is"]
+    assert [words for _, words in said()] == ["a result is being saved; the window closes afterwards"]
     qtbot.wait(300)
     assert (window.isVisible(), panel.closed) == (True, 0)
     panel.question, panel.writes = "", False

@@ -65,7 +65,7 @@ class WindowCloseFilter(QObject):
         if not self._saving():
             return may_discard(window, self._unsaved())
         if not self._waiting.isActive():
-            show_info("a result is being saved; the window closes when it is")
+            show_info("a result is being saved; the window closes afterwards")
             self._waiting.start()
         return False
 
