@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,21 @@ def test_what_is_saved_is_what_is_computed_one_by_one(
     images = section(RAW, calibration, mode, cores=cores)
     images.save(tmp_path / "images.ome.tif")
     assert np.array_equal(tifffile.imread(tmp_path / "images.ome.tif").reshape(images.shape), images[:], equal_nan=True)
+
+
+def test_an_error_in_writing_ends_the_second_thread(
+    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: it waited for frames without end, and with it the program, after Ctrl-C for instance."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("napari_elsplus.io.disk.SpanWriter.write", interrupted)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        section(RAW, calibration, "els").save(tmp_path / "images.ome.tif")
+    assert caught.tb is not None  # it holds every frame of the call, and the images that one of them iterates
+    assert not any(thread.name.startswith("images") for thread in threading.enumerate())
 
 
 class OneBuffer:

@@ -239,8 +239,8 @@ class SectionedImages:
             If no format writes the suffix, or the file exists and `force` is not given.
         """
         pairs = map(self._pairs, progress(range(len(self)), self.mode.value))
-        images = ComputedAhead(self._make, pairs, len(self), threads=threads)
-        write_images(path, images, self._metadata, force=force)
+        with ComputedAhead(self._make, pairs, len(self), threads=threads) as images:
+            write_images(path, images, self._metadata, force=force)
 
     def allocate(self, path: str | os.PathLike[str]) -> None:
         """Create the file that :meth:`save` writes, with pixels of 0; :meth:`fill` writes spans of images into it.

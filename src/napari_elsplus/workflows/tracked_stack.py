@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -152,9 +151,8 @@ class TrackedStack:
                 self.rows.append(lead.rows[-1])
                 self._follow(index)
             return
-        images = tracking_images(lead, map(pairs, indices), len(pairs), threads=threads)
-        with closing(iter(images)) as coming:
-            for index, image in zip(progress(indices), coming, strict=True):
+        with tracking_images(lead, map(pairs, indices), len(pairs), threads=threads) as images:
+            for index, image in zip(progress(indices), images, strict=True):
                 lead.tracking.skip(pairs.lost_before(index))
                 lead.note(lead.tracking.estimate_pose(image), pairs.frame(index), self._time_s(index))
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from napari_elsplus.closing import ClosedOnExit
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -20,8 +22,10 @@ IMAGES_AHEAD: Final = 4
 """Images computed before they are asked for; chosen: the time that the disk takes for a block of them."""
 
 
-class ComputedAhead:
+class ComputedAhead(ClosedOnExit):
     """Images (n, n), the next of which a second thread computes while the caller writes one; can be iterated once.
+
+    A context manager: leaving it ends the thread, whoever still holds the iterator.
 
     Parameters
     ----------
@@ -44,21 +48,29 @@ class ComputedAhead:
         *,
         threads: Literal[1, 2] = 2,
     ) -> None:
-        self._make, self._frames, self._count, self._threads = make, frames, count, threads
+        self._make, self._count = make, count
+        self._images = self._generate(frames, threads)
 
     def __len__(self) -> int:
         return self._count
 
-    def __iter__(self) -> Generator[NDArray[np.float32]]:
-        if self._threads == 1:
-            yield from starmap(self._make, self._frames)
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        return self._images
+
+    def close(self) -> None:
+        """End the second thread."""
+        self._images.close()
+
+    def _generate(self, frames: Iterable[tuple[Any, ...]], threads: int) -> Generator[NDArray[np.float32]]:
+        if threads == 1:
+            yield from starmap(self._make, frames)
             return
         asked: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
         made: SimpleQueue[NDArray[np.float32] | BaseException] = SimpleQueue()
         thread = Thread(target=self._compute, args=(asked, made), name="images")
         thread.start()
         try:
-            for number, each in enumerate(chain(self._frames, repeat(None, IMAGES_AHEAD)), -IMAGES_AHEAD):
+            for number, each in enumerate(chain(frames, repeat(None, IMAGES_AHEAD)), -IMAGES_AHEAD):
                 asked.put(each)
                 if number >= 0:
                     image = made.get()
