@@ -18,7 +18,7 @@ from napari_elsplus.acquisition.calibrating.capture import take_sweep
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.live_images import LiveView
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
+from napari_elsplus.acquisition.streaming.recorder import Recorder, RecordingPlan
 from napari_elsplus.errors import CalibrationError, DeviceError, InputError
 from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
@@ -588,6 +588,22 @@ def test_park_waits_for_nothing_and_what_ran_does_not_move_the_galvo_again(engin
     assert not thread.is_alive()
     assert "the galvo was parked, so the sweep has ended" in str(raised[0])
     assert rig.scanner.calls[-1] == "park"
+
+
+def test_a_recording_can_be_stopped_while_it_begins(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: the thread that had not started yet was waited for, which Python refuses."""
+    start = Recorder.start
+
+    def stop_then_start(recorder: Recorder) -> None:
+        engine.stop_recording()
+        start(recorder)
+
+    monkeypatch.setattr(Recorder, "start", stop_then_start)
+    engine.start(scan=False)
+    engine.record(RecordingPlan(tmp_path / "r.ome.tif", frames=3))
+    until(lambda: engine.status().recorded == 3)
 
 
 def test_of_a_galvo_that_is_parked_as_a_scan_begins_no_scan_is_claimed(
