@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 _ENDING: Final = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that end a program; Windows has only the first, and ends programs without it."""
-_AGAIN_S: Final = 0.02
-"""Seconds after which a signal is handled again, its exception discarded; chosen: a callback has returned by then."""
+_AGAIN_S: Final = 0.5
+"""Seconds after which a signal is sent again, as its exception may be lost; chosen: to be waited for, and seldom."""
 
 
 class ClosedOnExit:
@@ -37,8 +37,8 @@ def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
     """Within the context, let SIGTERM and SIGHUP end the program by SystemExit, so that what it holds is closed.
 
     Signals that the program ignores or handles otherwise are left alone, and so are all of them outside the main
-    thread. One that arrives while the program unwinds is ignored. One that arrives in a callback or a finalizer, where
-    Python discards exceptions, is handled again after it.
+    thread. One that arrives while the program unwinds is ignored. One whose exception is discarded, by Python in
+    callbacks and finalizers or by a library that catches all, comes again until the program unwinds.
 
     Parameters
     ----------
@@ -51,37 +51,47 @@ def unwound_by_signals(*, interrupts: bool = False) -> Iterator[None]:
     untouched = {signal.SIG_DFL, *((signal.default_int_handler,) if interrupts else ())}
     handled = [number for number, handler in before.items() if main and handler in untouched]
 
-    restored = list(handled)
-    raised: dict[int, BaseException] = {}
+    raised: list[BaseException] = []
     report = sys.unraisablehook
+    ended, sending = threading.Event(), threading.Lock()
 
     def end(number: int, _: Any) -> None:
-        if interrupts:
-            restored.clear()
-        for other in handled:
-            signal.signal(other, signal.SIG_IGN)
-        raised[number] = KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
-        raise raised[number]
-
-    def end_again(discarded: Any) -> None:
-        number = next((one for one, error in raised.items() if error is discarded.exc_value), None)
-        if number is None:
-            report(discarded)
+        if raised and _is_handled(raised[-1]):
             return
-        signal.signal(number, end)
-        again = threading.Timer(_AGAIN_S, _send_to_main_thread, (number,))
-        again.daemon = True
-        again.start()
+        if not raised:
+            _thread.start_new_thread(insist, (number,))
+        raised.append(KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number))
+        raise raised[-1]
+
+    def insist(number: int) -> None:
+        while not ended.wait(_AGAIN_S):
+            with sending:
+                if not ended.is_set():
+                    _send_to_main_thread(number)
+
+    def report_others(discarded: Any) -> None:
+        if discarded.exc_value not in raised:
+            report(discarded)
 
     for number in handled:
         signal.signal(number, end)
-    sys.unraisablehook = end_again
+    sys.unraisablehook = report_others
     try:
         yield
     finally:
+        with sending:
+            ended.set()
         sys.unraisablehook = report
-        for number in restored:
-            signal.signal(number, before[number])
+        for number in handled:
+            signal.signal(number, signal.SIG_IGN if raised and interrupts else before[number])
+
+
+def _is_handled(error: BaseException) -> bool:
+    """Return True if this thread handles an error, or one that came meanwhile: what it leaves is being closed."""
+    handled = sys.exc_info()[1]
+    while handled is not None and handled is not error:
+        handled = handled.__context__
+    return handled is not None
 
 
 def _send_to_main_thread(number: int) -> None:
