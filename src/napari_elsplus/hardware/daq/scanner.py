@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import math
 import threading
 import time
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from napari_elsplus.closing import ClosedOnExit
-from napari_elsplus.errors import DeviceError, InputError
+from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.daq.calls import CardThread
 from napari_elsplus.hardware.daq.interlock import Interlock
 from napari_elsplus.hardware.daq.output import CardSettings, Output
 from napari_elsplus.hardware.parking import Parking, ParkStage, ParkState
+from napari_elsplus.hardware.scan.clearance import check_parking_while_scanning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -147,7 +147,7 @@ class DaqScanner(ClosedOnExit):
         """Set the parking voltage; see :meth:`napari_elsplus.hardware.protocols.Scanner.park_at`."""
         self.limits.check(volts, "the parking position")
         self._refuse_if_closed()
-        _refuse_parking_on_the_bundle(volts, self._waveform)
+        check_parking_while_scanning(volts, self._waveform)
         changed = volts != self._parking.volts
         self._parking.retarget(volts)
         if changed and self._parking.state.stage is not ParkStage.DRIVEN:
@@ -161,7 +161,7 @@ class DaqScanner(ClosedOnExit):
     def scan(self, waveform: Waveform) -> None:
         """Put the waveform out, one ramp after each strobe."""
         self.limits.check(waveform.volts, "the scan")
-        _refuse_parking_on_the_bundle(self.park_v, waveform)
+        check_parking_while_scanning(self.park_v, waveform)
         self._drive(lambda: self._scan(waveform))
 
     def check(self) -> None:
@@ -385,16 +385,6 @@ class DaqScanner(ClosedOnExit):
         finally:
             output.release()
         return True
-
-
-def _refuse_parking_on_the_bundle(volts: float, waveform: Waveform | None) -> None:
-    """Raise an InputError if a parking voltage is among those at which a scan, if any, exposes rows."""
-    low, high = (waveform and waveform.exposed_v) or (math.inf, -math.inf)
-    if low <= volts <= high:
-        raise InputError(
-            f"the parking voltage {volts:.4g} V is on the bundle, scanned from {low:.4g} to {high:.4g} V",
-            "choose park_v off the bundle, in the rig's file or the calibration",
-        )
 
 
 def _as_fault(error: Exception) -> DeviceError:

@@ -14,7 +14,7 @@ from napari_elsplus.hardware.scan.waveform import exposed_rows
 from napari_elsplus.instrument.optics import HALO_UM, PARK_CLEARANCE_UM
 
 if TYPE_CHECKING:
-    from napari_elsplus.hardware.scan.waveform import GalvoLimits
+    from napari_elsplus.hardware.scan.waveform import GalvoLimits, Waveform
     from napari_elsplus.instrument.calibration import BundleSection, Calibration, GalvoSection
 
 ROUNDING_UM: Final = 1e-3
@@ -67,6 +67,31 @@ def check_parking(volts: float, calibration: Calibration | None, limits: GalvoLi
         f"the parking voltage {volts:.4g} V puts the line on row {row:.0f}, {where}",
         _remedy(galvo, _kept_clear(bundle, PARK_CLEARANCE_UM, um_per_px), limits),
     )
+
+
+def check_parking_while_scanning(volts: float, waveform: Waveform | None) -> None:
+    """Refuse a parking voltage among those at which a scan exposes rows.
+
+    Parameters
+    ----------
+    volts : float
+        Parking voltage.
+    waveform : Waveform, optional
+        The scan; without one there is nothing to check.
+
+    Raises
+    ------
+    InputError
+        With the voltages of the scan.
+    """
+    if waveform is None or waveform.exposed_v is None:
+        return
+    low, high = waveform.exposed_v
+    if low <= volts <= high:
+        raise InputError(
+            f"the parking voltage {volts:.4g} V is on the bundle, scanned from {low:.4g} to {high:.4g} V",
+            "choose park_v off the bundle, in the rig's file or the calibration",
+        )
 
 
 def _kept_clear(bundle: BundleSection, clearance_um: float, um_per_px: float | None) -> tuple[float, float]:

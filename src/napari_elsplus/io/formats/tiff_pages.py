@@ -89,7 +89,7 @@ class PageLayout:
         return bytes(head)
 
     def link(self, index: int) -> tuple[int, bytes]:
-        """Return the byte offset and the bytes of the link to a page, in the one before; of the first, the header."""
+        """Return the byte offset and the bytes of the link to page `index`: in the page before, or the header."""
         if not index:
             return 0, self.file_header
         return self.start(index - 1) + self._pointer, struct.pack("<Q", self.start(index))
