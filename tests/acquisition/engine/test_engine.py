@@ -590,6 +590,17 @@ def test_park_waits_for_nothing_and_what_ran_does_not_move_the_galvo_again(engin
     assert rig.scanner.calls[-1] == "park"
 
 
+def test_a_recording_of_a_stream_that_has_ended_by_itself_names_the_cause(
+    engine: Engine, rig: Any, tmp_path: Path
+) -> None:
+    """Before: nothing to record, start the stream first."""
+    rig.camera.unplugged_at = 2
+    engine.start(scan=False)
+    until(lambda: not engine.status().live)
+    with pytest.raises(DeviceError, match="the camera was unplugged"):
+        engine.record(RecordingPlan(tmp_path / "r.ome.tif"))
+
+
 def test_a_recording_can_be_stopped_while_it_begins(
     engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,9 +232,13 @@ class Engine(ClosedOnExit):
         ------
         InputError
             If nothing streams, another recording runs, or the file may not be written.
+        DeviceError
+            If a fault has ended the stream.
         """
         with self._lock:
             if self._run is None or not self._live:
+                if self._run is not None:
+                    self._run.raise_ending_fault()
                 raise InputError("nothing to record", "start the stream first")
             self._run.record(plan, self.calibration, self.setup.described())
 
