@@ -216,10 +216,14 @@ def offset_at(offset: SlitOffset, pair: BundlePair) -> SlitOffset:
 def _of_lines(
     confocal: Line, residual: Line, split: int, pair: BundlePair | None = None, unsteady_rows: float = 0.0
 ) -> SlitOffset:
-    """Return the offset of the lines alone, at the centres of a pair, or else at the middle of their lit parts."""
+    """Return the offset of the lines alone, at the middle of their lit parts, or, by a pair, at the confocal centre.
+
+    In the residual view that is where the cores of this centre lie: the middle of its rim may lie beside, and a tilted
+    line is higher or lower there.
+    """
     columns = confocal.column, residual.column
     if pair is not None:
-        columns = pair.confocal.centre[1], pair.residual.centre[1] - split
+        columns = pair.confocal.centre[1], _in_residual(pair, pair.confocal.centre[0])[1] - split
     influence = residual.influence_at(columns[1]) - confocal.influence_at(columns[0])
     rows = residual.row_at(columns[1]) - confocal.row_at(columns[0])
     # Where the views differ in light along a bowed line, the straight ones through it lie at different heights.
@@ -250,13 +254,19 @@ def _rows_by_distortion(line: Line, pair: BundlePair) -> float:
 
 def _offset_of_cores(line: SlitOffset, pair: BundlePair, row: float) -> float:
     """Return the slit offset, rows, of the cores under a confocal line on a row, parallel to a given one."""
+    centre, at = _in_residual(pair, pair.confocal.centre[0]), _in_residual(pair, row)
+    return float(at[0] + line.residual.slope * (centre[1] - at[1]) - row)
+
+
+def _in_residual(pair: BundlePair, row: float) -> NDArray[np.float64]:
+    """Return row and column at which the residual view shows the cores of a row of the confocal centre's column."""
     centre, alignment = pair.confocal.centre, pair.alignment
     affine = alignment.residual_to_confocal
     at = np.linalg.solve(affine[:, :2], np.array((row, centre[1])) - affine[:, 2])
     if alignment.distortion is not None:
         place = (row - centre[0]) / (pair.confocal.diameter_px / 2)
         at = at + alignment.distortion @ polynomial_terms(np.array(place), np.zeros(()))
-    return float(at[0] + line.residual.slope * (pair.residual.centre[1] - at[1]) - row)
+    return np.asarray(at, np.float64)
 
 
 class OffsetFollower:
