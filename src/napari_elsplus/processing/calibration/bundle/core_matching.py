@@ -44,8 +44,10 @@ SHIFT_STEP_PX: Final = 0.75
 """Chosen: a quarter of a core's spacing."""
 SMOOTHING_PX: Final = 0.8
 """Standard deviation of the Gaussian that suppresses what pixels sample too coarsely to be interpolated, above 0.35
-cycles per pixel; measured: where cores are 2.0 and 2.3 px apart, 20 pairs are aligned to 0.0043 and 0.0032 px RMS, 1.2
-and 0.9 times what is stated; with 0.6 px to 0.022 and 0.0064 px, 6.6 and 2.1 times; with 1.0 px noise is more."""
+cycles per pixel; measured: where cores are 2.0 and 2.3 px apart, 20 pairs are aligned to 0.0043 and 0.0032 px RMS; with
+0.6 px to 0.022 and 0.0064 px; with 1.0 px noise is more."""
+STEP_PX: Final = 0.125
+"""To either side, for the derivatives of the confocal view; chosen: 3 % less at half a cycle per pixel."""
 SHIFT_STEPS: Final = 4
 """To either side; derived: they cover the spacing of cores."""
 MAX_STEPS: Final = 12
@@ -110,7 +112,10 @@ class CoreFit:
         """
         fitted, simpler = (one.basis.reshape(len(one.basis), -1) for one in (self.model, model))
         omitted = null_space(simpler @ np.linalg.pinv(fitted)).T
-        return information_criterion(omitted @ self.departure, self.influence @ omitted.T, len(simpler))
+        # The inverse of a covariance that few tiles scatter by is too large in its mean (Wishart's distribution).
+        free = np.count_nonzero(self.influence.any(axis=1)) - len(self.departure) / 2
+        influence = np.sqrt(free / max(free - len(omitted) - 1, 1.0)) * self.influence @ omitted.T
+        return information_criterion(omitted @ self.departure, influence, len(simpler))
 
 
 class CoreMatcher:
@@ -158,6 +163,10 @@ class CoreMatcher:
         self._scale = residual.diameter_px / confocal.diameter_px
         self.contrast = core_contrast(frame, self.radius_px)
         self.confocal = cropped(self.contrast, confocal.centre, self.side)
+        row, col = confocal.centre
+        steps = ((row - STEP_PX, col), (row + STEP_PX, col)), ((row, col - STEP_PX), (row, col + STEP_PX))
+        ends = ([cropped(self.contrast, at, self.side) for at in step] for step in steps)
+        self._derivatives = np.stack([(after - before) / (2 * STEP_PX) for before, after in ends])
 
     def start(
         self,
@@ -225,12 +234,13 @@ class CoreMatcher:
         moves = np.tensordot(model.basis, self.terms[:, pixels], 1)
         departure = _nearest(start - self.identity, moves, self.terms[:, pixels])
         target = self.confocal[pixels].astype(np.float64)
-        of_target = slopes(self.confocal, moves, pixels)
+        of_target, response = (along(by, moves, pixels) for by in (differences(self.confocal), self._derivatives))
         for _ in range(MAX_STEPS):
             coefficients = self.identity + np.tensordot(departure, model.basis, 1)
             moved = self.residual_view(self.contrast, coefficients)
             found = moved[pixels].astype(np.float64)
-            step, scores, curvature = newton_step(target, found, of_target, slopes(moved, moves, pixels))
+            of_found = along(differences(moved), moves, pixels)
+            step, scores, curvature = newton_step(target, found, of_target, of_found, response)
             moved_px = float(np.abs(np.tensordot(step, moves, 1)).max())
             diverges = moved_px > MAX_STEP * self.radius_px
             if diverges:
@@ -284,20 +294,6 @@ class CoreMatcher:
         """
         return float(np.sqrt(np.square(displacement @ self.terms[:, self.inside]).sum(axis=0).mean()))
 
-    def left_over_px(self, full: CoreFit, fit: CoreFit) -> float:
-        """Return how far a fit departs from the fullest one along a row or column, at the rim, beyond chance.
-
-        Parameters
-        ----------
-        full : CoreFit
-            Fit of the fullest model.
-        fit : CoreFit
-            Fit of a model that it contains: chance is by how much the variance of the fullest exceeds that of this one.
-        """
-        departure = np.square((full.coefficients - fit.coefficients) @ self.rim).mean()
-        chance = full.uncertainty_px(self.rim) ** 2 - fit.uncertainty_px(self.rim) ** 2
-        return float(np.sqrt(max(departure - max(chance, 0.0), 0.0)))
-
 
 def _nearest(displacement: Floats, moves: Floats, terms: Floats) -> Floats:
     """Return the parameters of a model that are nearest to a displacement (2, 10) at some points.
@@ -314,23 +310,30 @@ def _nearest(displacement: Floats, moves: Floats, terms: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(products, along, rcond=None)[0], np.float64)
 
 
-def slopes(image: Image, moves: Floats, pixels: NDArray[np.bool_]) -> Floats:
+def differences(image: Image) -> Image:
+    """Return the central differences of an image (side, side) along its rows and columns, (2, side, side)."""
+    return np.stack([np.asarray(np.gradient(image, axis=axis), np.float32) for axis in (0, 1)])
+
+
+def along(gradient: Image, moves: Floats, pixels: NDArray[np.bool_]) -> Floats:
     """Return the derivative of an image by each parameter of a motion, shape (points, parameters).
 
     Parameters
     ----------
-    image : numpy.ndarray
-        (side, side) float32.
+    gradient : numpy.ndarray
+        Derivatives of the image along rows and columns, (2, side, side) float32.
     moves : numpy.ndarray
         Displacement of the points by each parameter, (parameters, 2, points).
     pixels : numpy.ndarray
         (side, side) bool: the points.
     """
-    down, across = (np.asarray(np.gradient(image, axis=axis))[pixels] for axis in (0, 1))
+    down, across = (by[pixels] for by in gradient)
     return np.asarray((moves[:, 0] * down + moves[:, 1] * across).T, np.float64)
 
 
-def newton_step(target: Floats, found: Floats, of_target: Floats, of_found: Floats) -> tuple[Floats, Floats, Floats]:
+def newton_step(
+    target: Floats, found: Floats, of_target: Floats, of_found: Floats, response: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Return the step that aligns two images, the scores of their points, and the curvature of the match.
 
     Of the sums of least squares, only products of the one image with the other are kept. Products of an image with
@@ -341,9 +344,12 @@ def newton_step(target: Floats, found: Floats, of_target: Floats, of_found: Floa
     target, found : numpy.ndarray
         Both images at the same points, (points,).
     of_target, of_found : numpy.ndarray
-        Their derivatives, of :func:`slopes`.
+        Their differences between neighbouring pixels, of :func:`along`, which suppress what the pixels alias.
+    response : numpy.ndarray
+        Derivative of the target: by this the images change as they move. Where cores are three pixels apart, the
+        differences are half as large: with them in its place, steps would be too long, and uncertainties too large.
     """
-    curvature = of_target.T @ of_found
+    curvature = response.T @ of_found
     curvature = (curvature + curvature.T) / 2
     scores = (of_found * target[:, None] - of_target * found[:, None]) / 2
     return np.linalg.lstsq(curvature, scores.sum(axis=0), rcond=None)[0], scores, curvature

@@ -92,7 +92,7 @@ class Alignment:
         Bayesian information criterion of each model above the best one's.
     uncertainty_px : float
         One standard deviation of the map along a row or column, at the disc's rim, where it is least certain; includes
-        what the next models find left over.
+        what fuller models find left over, as far as they are probable.
     centre_uncertainty_px : float
         The same in the disc's centre.
     gain : float
@@ -241,7 +241,7 @@ def _core_alignment(views: _Views, affine: CoreFit) -> Alignment:
         # Where an affine map is off by half a core, a fit that starts from it slips by whole ones.
         grown = matcher.fit(_grown(matcher), ViewModel.CUBIC)
         full = grown if full is affine or grown.correlation > full.correlation else full
-    evidence = _evidence(full, DISTORTED)
+    evidence = distorted = _evidence(full, DISTORTED)
     beyond_px = matcher.rms_px(full.coefficients - affine_map(matcher.motion(full.coefficients), matcher.radius_px))
     containing = best = max(affine, full, key=lambda fit: fit.correlation)
     if best is affine or evidence[ViewModel.AFFINE] == 0 or beyond_px < MIN_DISTORTION_PX:
@@ -252,7 +252,11 @@ def _core_alignment(views: _Views, affine: CoreFit) -> Alignment:
     _require_same_cores(matcher, fit, full)
     if fit.uncertainty_px(matcher.rim) > MAX_UNCERTAINTY_PX:
         raise _other_cores(fit.correlation)
-    return _alignment(views, fit, evidence, matcher.left_over_px(full, fit))
+    likelihood = np.exp(-np.array([distorted[candidate] for candidate in DISTORTED]) / 2)
+    further = DISTORTED.index(max(model, ViewModel.AFFINE, key=list(ViewModel).index)) + 1
+    omitted = float(likelihood[further:].sum() / likelihood.sum())
+    at_rim, in_centre = (_uncertainty_px(fit, full, omitted, at) for at in (matcher.rim, CENTRE))
+    return _alignment(views, fit, evidence, at_rim, in_centre)
 
 
 def _centre_alignment(views: _Views, refusal: str) -> Alignment:
@@ -290,6 +294,25 @@ def _evidence(full: CoreFit, models: Sequence[ViewModel]) -> dict[ViewModel, flo
     return {model: value - min(criterion.values()) for model, value in criterion.items()}
 
 
+def _uncertainty_px(fit: CoreFit, full: CoreFit, omitted: float, terms: Floats) -> float:
+    """Return one standard deviation of a map along a row or column, root mean square over some points.
+
+    Parameters
+    ----------
+    fit, full : CoreFit
+        Fit of the map's model, and of the fullest one.
+    omitted : float
+        Probability of the models of distortion that contain more (of Bayesian model averaging; Hoeting et al. 1999,
+        https://doi.org/10.1214/ss/1009212519): so much of what the fullest fit departs by, beyond chance, counts.
+    terms : numpy.ndarray
+        (10, points): the polynomial's terms there.
+    """
+    variance = fit.uncertainty_px(terms) ** 2
+    chance = max(full.uncertainty_px(terms) ** 2 - variance, 0.0)
+    departure = float(np.square((full.coefficients - fit.coefficients) @ terms).mean())
+    return float(np.sqrt(variance + omitted * max(departure - chance, 0.0) + SAMPLING_PX**2))
+
+
 def _grown(matcher: CoreMatcher) -> Floats:
     """Return a map (2, 10) fitted to discs that grow, from one found in the middle of the disc."""
     coefficients = matcher.fit(
@@ -300,8 +323,10 @@ def _grown(matcher: CoreMatcher) -> Floats:
     return coefficients
 
 
-def _alignment(views: _Views, fit: CoreFit, evidence: dict[ViewModel, float], left_over_px: float) -> Alignment:
-    """Return the alignment by a fit, of which distortion of some length is left over.
+def _alignment(
+    views: _Views, fit: CoreFit, evidence: dict[ViewModel, float], at_rim: float, in_centre: float
+) -> Alignment:
+    """Return the alignment by a fit, and its uncertainty at the rim and in the centre, px.
 
     Raises
     ------
@@ -313,9 +338,6 @@ def _alignment(views: _Views, fit: CoreFit, evidence: dict[ViewModel, float], le
     gain, gain_uncertainty = views.gain(fit.coefficients)
     motion = matcher.motion(fit.coefficients)
     beyond = fit.coefficients - affine_map(motion, matcher.radius_px)
-    at_rim, in_centre = (
-        float(np.linalg.norm((fit.uncertainty_px(at), left_over_px, SAMPLING_PX))) for at in (matcher.rim, CENTRE)
-    )
     return Alignment(
         residual_to_confocal=views.residual_to_confocal(motion),
         model=fit.model,
