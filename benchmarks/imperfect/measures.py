@@ -24,6 +24,8 @@ from napari_elsplus.workflows.axial import measure_axial_response
 from napari_elsplus.workflows.tracking import Pipeline
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from benchmarks.imperfect.rig import ImperfectRig, Rows
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.axial.axial_response import AxialResponse
@@ -121,18 +123,23 @@ class Misalignment(NamedTuple):
 
 def misalignment(rig: ImperfectRig, calibration: Calibration) -> Misalignment:
     """Compare where the calibration expects each core in the residual view with where it is."""
-    bundle = calibration.bundle
-    assert bundle is not None
+    bundle = calibration.measured_bundle
     known, left, right = views(rig.instrument)
     judged = np.hypot(known.rows_um, known.cols_um) < JUDGED * rig.instrument.bundle.radius_um
     on_left = np.stack([left.rows_px, left.cols_px])[:, judged]
-    affine = np.vstack([bundle.residual_to_confocal, (0.0, 0.0, 1.0)])
-    expected = np.linalg.solve(affine, np.vstack([on_left, np.ones(on_left.shape[1])]))[:2]
-    if calibration.distortion is not None:
-        place = (on_left - np.reshape(bundle.confocal_centre, (2, 1))) / (bundle.diameter_px / 2)
-        expected = expected + calibration.distortion @ polynomial_terms(*place)
-    off = expected - np.stack([right.rows_px, right.cols_px])[:, judged]
+    off = _in_residual(calibration, on_left) - np.stack([right.rows_px, right.cols_px])[:, judged]
     return Misalignment(float(np.sqrt((off**2).sum(0).mean())), bundle.alignment_uncertainty_px or 0.0)
+
+
+def _in_residual(calibration: Calibration, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows and columns (2, places) at which a calibration has places of the confocal in the residual view."""
+    bundle = calibration.measured_bundle
+    affine = np.array(bundle.residual_to_confocal)
+    expected = np.linalg.solve(affine[:, :2], places - affine[:, 2:])
+    if calibration.distortion is not None:
+        place = (places - np.reshape(bundle.confocal_centre, (2, 1))) / (bundle.diameter_px / 2)
+        expected = expected + calibration.distortion @ polynomial_terms(*place)
+    return np.asarray(expected, np.float64)
 
 
 class Error(NamedTuple):
@@ -143,13 +150,16 @@ class Error(NamedTuple):
 
 
 def offset_error(rig: ImperfectRig, calibration: Calibration) -> Error:
-    """Error of the slit offset, rows, at the calibration's own centres.
+    """Error of the slit offset, rows, at the calibration's own confocal centre, and where the residual view shows it.
 
     A lens that distorts displaces the middle of a view from its central core, along a line that need not lie level.
     """
     offset, bundle = calibration.offset, calibration.bundle
     assert offset is not None
-    columns = (None, None) if bundle is None else (bundle.confocal_centre[1], bundle.residual_centre[1])
+    columns: tuple[float | None, float | None] = (None, None)
+    if bundle is not None:
+        shown = _in_residual(calibration, np.reshape(bundle.confocal_centre, (2, 1)))
+        columns = bundle.confocal_centre[1], float(shown[1, 0])
     return Error(offset.rows - true_offset_rows(rig, columns), offset.uncertainty_rows)
 
 
