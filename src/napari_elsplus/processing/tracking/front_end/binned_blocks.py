@@ -1,4 +1,4 @@
-"""Blocks of neighbouring pixels of the grid: both views binned and subtracted, in vector instructions.
+"""Rows of the grid in vector instructions: blocks of both views binned and subtracted, and rows smoothed.
 
 A square that lies between camera pixels is interpolated between the four squares on whole pixels around it. Sums of
 camera pixels are exact integers, which are converted to float32 once for each pixel of the grid.
@@ -29,6 +29,8 @@ longest there is."""
 AHEAD: Final = 96
 """Number of blocks, some twelve rows, ahead of which the camera's memory is prefetched; chosen: between 24 and 240 it
 makes no difference beyond its scatter."""
+VECTOR: Final = 16
+"""Pixels of the grid that are smoothed at once: a vector of 512 bits."""
 CAMERA_KINDS: Final = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
 """Kinds of camera pixels that are binned."""
 _PLACE: Final = ir.IntType(64)
@@ -91,7 +93,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data_of(context, builder, kinds[k], arguments[k]) for k in (0, 1, 3, 4, 8)
     )
     binning = len(kinds[2])
-    count, slopes, weights = arguments[5:8]
+    which, slopes, weights = arguments[5:8]
     cols = cgutils.unpack_tuple(builder, context.make_array(kinds[0])(context, builder, arguments[0]).shape, 2)[1]
     vectors, camera = Vectors(builder, BLOCK), _Camera(builder, kinds[0].dtype, binning)
     tilt, growth = (builder.fmul(vectors.spread(s), vectors.ramp()) for s in cgutils.unpack_tuple(builder, slopes, 2))
@@ -112,13 +114,13 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         beyond = camera.columns(data, pixel(corner, row, 1))[-1]
         return camera.added(here), camera.added([*here[1:], beyond])
 
-    with cgutils.for_range(builder, count) as loop:
+    begin, end = cgutils.unpack_tuple(builder, which, 2)
+    with cgutils.for_range(builder, end, begin) as loop:
         n = loop.index
         later = corners(builder.add(n, _PLACE(AHEAD)))
         for row in range(binning):
-            for col in (0, binning * BLOCK - 1):
-                build_prefetch(builder, builder.gep(raw, [pixel(later[0], row, col)]))
-                build_prefetch(builder, builder.gep(raw_residual, [pixel(later[1], row + 1, col)]))
+            build_prefetch(builder, builder.gep(raw, [pixel(later[0], row, 0)]))
+            build_prefetch(builder, builder.gep(raw_residual, [pixel(later[1], row + 1, 0)]))
         confocal, residual = corners(n)
         down, across = (
             builder.fadd(vectors.spread(entry(fractions, n, k, 2)), slope) for k, slope in enumerate((tilt, growth))
@@ -138,7 +140,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _bin_blocks(
-    _: Any, raw: Any, raw_residual: Any, pixels: Any, places: Any, fractions: Any, count: Any, slopes: Any,
+    _: Any, raw: Any, raw_residual: Any, pixels: Any, places: Any, fractions: Any, which: Any, slopes: Any,
     weights: Any, rows: Any,
 ) -> Any:  # fmt: skip
     """Fill blocks of the rows of the grid.
@@ -152,22 +154,74 @@ def _bin_blocks(
         0, 1, ...: as many as there are camera pixels per pixel of the grid in a row.
     places, fractions, slopes : numpy.ndarray, numpy.ndarray, tuple of float32
         Of :class:`~napari_elsplus.processing.tracking.front_end.binning.ViewBlocks`.
-    count : int
-        Number of blocks.
+    which : tuple of int
+        The first of the blocks, and the one after the last.
     weights : tuple of float32
         Of the two views.
     rows : numpy.ndarray
         Flat float32.
     """
-    whole, real = types.int64, types.float32
-    pair = types.UniTuple(real, 2)
+    indices, pair = types.UniTuple(types.int64, 2), types.UniTuple(types.float32, 2)
     if any(kind.layout != "C" for kind in (raw, raw_residual, places, fractions, rows)):
         return None
-    return types.void(raw, raw_residual, pixels, places, fractions, whole, pair, pair, rows), _build
+    return types.void(raw, raw_residual, pixels, places, fractions, indices, pair, pair, rows), _build
 
 
 bin_blocks = cast(
-    "Callable[[NDArray[Any], NDArray[Any], tuple[int, ...], NDArray[np.int32], NDArray[np.float32], int, "
+    "Callable[[NDArray[Any], NDArray[Any], tuple[int, ...], NDArray[np.int32], NDArray[np.float32], tuple[int, int], "
     "tuple[np.float32, np.float32], tuple[np.float32, np.float32], NDArray[np.float32]], None]",
     intrinsic(_bin_blocks),
+)
+
+
+def _build_smoothing(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    rows, scale, offset, out = (data_of(context, builder, signature.args[k], arguments[k]) for k in (0, 2, 3, 4))
+    begins, (at, count) = cgutils.unpack_tuple(builder, arguments[1], 5), arguments[5:]
+    vectors = Vectors(builder, VECTOR)
+    four, six = (ir.Constant(vectors.of(FLOAT), [weight] * VECTOR) for weight in (4.0, 6.0))
+
+    def smoothed(five: list[Any]) -> Any:
+        outer, inner = builder.fadd(five[0], five[4]), builder.fadd(five[1], five[3])
+        return vectors.fused(six, five[2], vectors.fused(four, inner, outer))
+
+    def along_columns(first: Any) -> Any:
+        return smoothed([vectors.load(rows, builder.add(begin, first)) for begin in begins])
+
+    left = cgutils.alloca_once_value(builder, along_columns(_PLACE(0)))
+    with cgutils.for_range(builder, count) as loop:
+        first = builder.mul(loop.index, _PLACE(VECTOR))
+        here, beyond = builder.load(left), along_columns(builder.add(first, _PLACE(VECTOR)))
+        builder.store(beyond, left)
+        value = smoothed([vectors.chosen(here, beyond, range(k, k + VECTOR)) for k in range(5)])
+        to = builder.add(at, first)
+        value = builder.fmul(value, vectors.load(scale, to))
+        vectors.store(builder.fsub(value, vectors.load(offset, to)), out, to)
+    return context.get_dummy_value()
+
+
+def _smooth_row(_: Any, rows: Any, begins: Any, scale: Any, offset: Any, out: Any, at: Any, count: Any) -> Any:
+    """Smooth a row by 1 4 6 4 1 in both directions, multiply by a scale, and subtract an offset.
+
+    Parameters
+    ----------
+    rows : numpy.ndarray
+        Flat float32: binned rows.
+    begins : tuple of int
+        Elements of five of them, from top to bottom, two columns before the first pixel.
+    scale, offset, out : numpy.ndarray
+        Flat float32 images; `out` is filled.
+    at, count : int
+        Element of the first pixel in the images, and the number of vectors.
+    """
+    if any(kind.layout != "C" for kind in (rows, scale, offset, out)):
+        return None
+    return types.void(
+        rows, types.UniTuple(types.int64, 5), scale, offset, out, types.int64, types.int64
+    ), _build_smoothing
+
+
+smooth_row = cast(
+    "Callable[[NDArray[np.float32], tuple[int, ...], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], "
+    "int, int], None]",
+    intrinsic(_smooth_row),
 )

@@ -3,18 +3,20 @@
 The rows of the grid consist of blocks of pixels. Which these are, and where each lies in the frame, is found once:
 whole-pixel shifts of the residual view are constant over long runs of columns. A run is divided into blocks. The last
 one ends where the run ends, so that it reads no pixels beyond, and fills only pixels of the run. The camera's memory
-that comes next is prefetched.
+that comes next is prefetched. A row is smoothed as soon as it is binned with its neighbours, so that no more than these
+have to stay in the nearest cache.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
-from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK, bin_blocks
+from napari_elsplus.processing.tracking.front_end.binned_blocks import AHEAD, BLOCK, VECTOR, bin_blocks, smooth_row
+from napari_elsplus.processing.vectors import aligned_zeros
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +25,13 @@ if TYPE_CHECKING:
     Image = NDArray[np.float32]
     Indices = NDArray[np.intp]
     Matrix = NDArray[np.float64]
+
+
+_ROWS: Final = 8
+"""Binned rows that are kept, at least the five of the smoothing kernel."""
+MARGIN: Final = BLOCK + 2
+"""Columns before the first pixel of a binned row: a block, and two of the smoothing kernel, so that what it reads is at
+multiples of a vector."""
 
 
 class ViewBlocks(NamedTuple):
@@ -38,11 +47,15 @@ class ViewBlocks(NamedTuple):
         (blocks, 2) float32: rows and columns of the camera by which the residual view lies beyond its first pixel.
     slopes : tuple of float32
         Their changes from pixel to pixel of the grid.
+    rows : numpy.ndarray
+        (n, 3) int32, for each row of the grid: the block after its last one; its first lit column, and the one after
+        the last.
     """
 
     places: NDArray[np.int32]
     fractions: NDArray[np.float32]
     slopes: tuple[np.float32, np.float32]
+    rows: NDArray[np.int32]
 
 
 def view_blocks(
@@ -68,7 +81,7 @@ def view_blocks(
         If the frames have hardly more pixels than a block.
     """
     rows, cols = np.nonzero(lit)
-    memory = (rows + 2) * scratch(len(lit)).shape[1] + BLOCK + cols
+    memory = rows % _ROWS * scratch(len(lit)).shape[1] + MARGIN + cols
     corners = np.stack([_corners(view, binning, rows, cols) for view in (confocal, residual)])
     whole = np.floor(corners)
     elements = (frame_shape[1] * whole[:, 0] + whole[:, 1]).astype(int)
@@ -90,21 +103,24 @@ def view_blocks(
     low, high = np.maximum(begin - start, 0), np.minimum(end - start, BLOCK)
     filled = (1 << high) - (1 << low)
     places = np.stack([*at, memory[begin] + start - begin, filled], axis=1).astype(np.uint32).view(np.int32)
+    first, last = lit.argmax(axis=1), lit.any(axis=1) * (len(lit) - lit[:, ::-1].argmax(axis=1))
     slopes = binning * (residual[:, 1] - (0.0, 1.0))
     fractions = (corners[1] - whole[1])[:, begin] + slopes[:, None] * (start - begin)
     return ViewBlocks(
         np.pad(places, ((0, AHEAD), (0, 0)), mode="edge"),
         np.ascontiguousarray(fractions.T, np.float32),
         (np.float32(slopes[0]), np.float32(slopes[1])),
+        np.stack([np.searchsorted(rows[begin], np.arange(len(lit)), "right"), first, last], axis=1).astype(np.int32),
     )
 
 
 def scratch(side: int) -> NDArray[np.float32]:
-    """Return memory for the binned rows of a grid of that side, with two rows of zeros on either side, and for a line.
+    """Return memory for the newest binned rows of a grid of that side.
 
     Rows have margins of a block on either side, into which one that begins before the row, or ends after it, reaches.
     """
-    return np.zeros((side + 5, side + 2 * BLOCK), np.float32)
+    width = -(-(side + MARGIN + BLOCK) // VECTOR) * VECTOR
+    return aligned_zeros(_ROWS * width).reshape(_ROWS, width)
 
 
 def _corners(view: Matrix, binning: int, rows: Indices, cols: Indices) -> NDArray[np.float64]:
@@ -136,27 +152,35 @@ def subtract_views(
     binned : numpy.ndarray
         From :func:`scratch`.
     out : numpy.ndarray
-        (n, n) float32 image, C-contiguous; zero where the scale and the offset are.
+        (n, n) float32 image, C-contiguous; zero where the scale and the offset are, and in its last row's last pixels.
     """
     for n in range(AHEAD):
         for r in range(len(pixels)):
             prefetch(raw, r, blocks.places[n, 0])
             prefetch(raw_residual, r, blocks.places[n, 1])
-    bin_blocks(
-        raw, raw_residual, pixels, blocks.places, blocks.fractions, len(blocks.places) - AHEAD, blocks.slopes, weights,
-        binned.reshape(-1),
-    )  # fmt: skip
-    four, six, side = np.float32(4), np.float32(6), out.shape[1]
-    line = binned[-1]
-    for row in range(len(out)):
-        r0, r1, r2, r3, r4 = binned[row], binned[row + 1], binned[row + 2], binned[row + 3], binned[row + 4]
-        for k in range(len(line)):
-            line[k] = r0[k] + r4[k] + four * (r1[k] + r3[k]) + six * r2[k]
-        c0, c1, c2 = line[BLOCK - 2 :], line[BLOCK - 1 :], line[BLOCK:]
-        c3, c4 = line[BLOCK + 1 :], line[BLOCK + 2 :]
-        into, times, less = out[row], scale[row], offset[row]
-        for k in range(side):
-            into[k] = times[k] * (c0[k] + c4[k] + four * (c1[k] + c3[k]) + six * c2[k]) - less[k]
+    side, width = out.shape[1], binned.shape[1]
+    memory, times, less, image = binned.reshape(-1), scale.reshape(-1), offset.reshape(-1), out.reshape(-1)
+    binned[:] = 0
+    begin = 0
+    for newest in range(len(out) + 2):
+        end = blocks.rows[min(newest, len(out) - 1), 0]
+        binned[newest % _ROWS] = 0
+        bin_blocks(
+            raw, raw_residual, pixels, blocks.places, blocks.fractions, (begin, end), blocks.slopes, weights, memory
+        )
+        begin, row = end, newest - 2
+        if row < 0:
+            continue
+        out[row] = 0
+        first, last = blocks.rows[row, 1] // VECTOR * VECTOR, blocks.rows[row, 2]
+        at = row * side + first
+        # the last vector of a row may reach into the next one, which follows, but not beyond the image
+        count = min((last - first + VECTOR - 1) // VECTOR, (len(image) - at) // VECTOR)
+        col = MARGIN + first - 2
+        above, over, here = (row - 2) % _ROWS * width, (row - 1) % _ROWS * width, row % _ROWS * width
+        under, below = (row + 1) % _ROWS * width, newest % _ROWS * width
+        begins = above + col, over + col, here + col, under + col, below + col
+        smooth_row(memory, begins, times, less, image, at, count)
 
 
 @lean_kernel
