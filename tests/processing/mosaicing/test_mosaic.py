@@ -6,7 +6,7 @@ import pytest
 
 from napari_elsplus.processing.mosaicing.montage import montage
 from napari_elsplus.processing.mosaicing.mosaic import STILL, Insertion, Mosaic, rim_weights
-from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, HeapTiles, Rectangle, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
@@ -127,8 +127,16 @@ def test_only_what_was_touched_is_dirty() -> None:
 
 
 def test_tiles_cover_the_plane_once() -> None:
-    keys = list(Rectangle(-1, -TILE_PX - 1, TILE_PX + 1, 1).tiles())
+    first = tile_rectangle(0, 0)
+    keys = list(first.translated(0, -TILE_PX).grown(1).tiles())
     assert sorted(keys) == [(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0)]
+    for row, col in keys:
+        assert tile_rectangle(row, col) == first.translated(row * TILE_PX, col * TILE_PX)
+        assert list(tile_rectangle(row, col).tiles()) == [(row, col)]
+
+
+def test_a_mosaic_begins_within_one_tile() -> None:
+    assert list(Rectangle(-128, -128, 128, 128).tiles()) == [(0, 0)]
 
 
 def test_mosaic_of_a_fast_recording_is_the_scene() -> None:

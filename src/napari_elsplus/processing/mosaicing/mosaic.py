@@ -16,7 +16,7 @@ from napari_elsplus.instrument.arguments import Choice
 from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
-from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
+from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
 from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
@@ -174,9 +174,9 @@ class Mosaic(TiledCanvas):
                 self.exposure = self._exposure_gain(image, touched, footprint)
                 if self.exposure != 1:
                     image = np.multiply(image, np.float32(self.exposure), out=self._exposed_image)
-            for down, across in touched.tiles():
-                tile = self._store.tile(down, across)
-                insert_rows(*tile, down * TILE_PX, across * TILE_PX, image, footprint, blend)
+            for key in touched.tiles():
+                tile, at = self._store.tile(*key), tile_rectangle(*key)
+                insert_rows(*tile, at.top, at.left, image, footprint, blend)
             self._mark_drawn(touched)
         return touched
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 TILE_PX: Final = 512
 """Rows and columns of a tile; chosen: a frame of 250 pixels falls on at most four, each of 2 MB."""
+_MIDDLE_PX: Final = TILE_PX // 2
+"""Row and column of tile (0, 0) on which the canvas' origin lies, so that a mosaic begins within one tile."""
 
 
 class Rectangle(NamedTuple):
@@ -69,8 +71,9 @@ class Rectangle(NamedTuple):
 
     def tiles(self) -> Iterator[tuple[int, int]]:
         """Yield the keys (row, col) of the tiles that the rectangle overlaps."""
-        for row in range(self.top // TILE_PX, -(-self.bottom // TILE_PX)):
-            for col in range(self.left // TILE_PX, -(-self.right // TILE_PX)):
+        top, left, bottom, right = self.translated(_MIDDLE_PX, _MIDDLE_PX)
+        for row in range(top // TILE_PX, -(-bottom // TILE_PX)):
+            for col in range(left // TILE_PX, -(-right // TILE_PX)):
                 yield row, col
 
     def pieces(self) -> Iterator[tuple[tuple[int, int], Slices, Slices]]:
@@ -259,4 +262,5 @@ def bounding_rectangle(parts: Iterable[Rectangle]) -> Rectangle | None:
 
 def tile_rectangle(row: int, col: int) -> Rectangle:
     """Return the part of the canvas that the tile with the key (row, col) covers."""
-    return Rectangle(row * TILE_PX, col * TILE_PX, (row + 1) * TILE_PX, (col + 1) * TILE_PX)
+    top, left = row * TILE_PX - _MIDDLE_PX, col * TILE_PX - _MIDDLE_PX
+    return Rectangle(top, left, top + TILE_PX, left + TILE_PX)

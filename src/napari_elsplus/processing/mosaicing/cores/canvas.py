@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from napari_elsplus.processing.mosaicing.cores.least_squares import Samples, local_means
-from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, TiledCanvas
+from napari_elsplus.processing.mosaicing.tiles import TILE_PX, Rectangle, TiledCanvas, tile_rectangle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,8 +81,9 @@ class SampleCanvas(TiledCanvas):
         light = heavy * values[used]
         with self._lock:
             for key in touched.tiles():
-                on_tile = (cells // TILE_PX == key).all(axis=1)
-                pixel = np.ravel_multi_index(tuple((cells[on_tile] % TILE_PX).T), (TILE_PX, TILE_PX))
+                within = cells - tile_rectangle(*key)[:2]
+                on_tile = ((within >= 0) & (within < TILE_PX)).all(axis=1)
+                pixel = np.ravel_multi_index(tuple(within[on_tile].T), (TILE_PX, TILE_PX))
                 tile = self._store.tile(*key)
                 np.add.at(tile.value.reshape(-1), pixel, light[on_tile])
                 np.add.at(tile.weight.reshape(-1), pixel, heavy[on_tile])
