@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -88,4 +89,9 @@ def largest_level(frame: NDArray[Any]) -> float:
     frame : numpy.ndarray
         Raw frame (rows, cols), whose dtype decides.
     """
-    return float(np.iinfo(frame.dtype).max) if np.issubdtype(frame.dtype, np.integer) else float("inf")
+    return _largest_level(frame.dtype)
+
+
+@cache
+def _largest_level(dtype: np.dtype[Any]) -> float:
+    return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else float("inf")

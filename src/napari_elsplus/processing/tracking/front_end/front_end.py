@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -18,6 +19,7 @@ from scipy.ndimage import affine_transform, uniform_filter
 from napari_elsplus.errors import CalibrationError, InputError
 from napari_elsplus.instrument.frame_region import require_frame_shape
 from napari_elsplus.processing.analysis.saturation import MAX_SATURATED_PIXELS, saturation_level
+from napari_elsplus.processing.compiled import resolved_once
 from napari_elsplus.processing.images.hot_pixels import HotPixels
 from napari_elsplus.processing.images.resampling import cropped
 from napari_elsplus.processing.images.sectioning import Mode, line_offset_px
@@ -27,6 +29,8 @@ from napari_elsplus.processing.tracking.front_end.grid import GRID_DIAMETER_PX, 
 from napari_elsplus.processing.tracking.front_end.saturated_light import SaturatedLight
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
@@ -99,7 +103,7 @@ class FrontEnd:
         lit = lit_pixels(*self.grid.spans(1.0))
         # a view of weight zero is taken from where the other one lies
         self._blocks = view_blocks(views[0], views[-1], q, lit, self._frame_shape)
-        self._weights = (np.float32(weights[0]), np.float32(weights[1]))
+        self._weights, self._pixels = (np.float32(weights[0]), np.float32(weights[1])), tuple(range(q))
         self._scratch = scratch(grid.side)
         reach = grid.side * q
         self._middle = tuple(slice(at + reach // 4, at + 3 * reach // 4, _EVERY_PX) for at in grid.origin)
@@ -144,34 +148,46 @@ class FrontEnd:
                     f"a frame has {frame.shape} pixels, the calibration is for {self._frame_shape}",
                     "all frames of a recording must have one size",
                 )
-        part = _readable(raw)[self._middle]
+        frame = _readable(raw)
+        part = frame[self._middle]
         limit = saturation_level(part)
         level, saturated, even = survey(part, limit)
         seen = self._saturated.known(limit)
         if even or level < self._dark_level or saturated > (MAX_SATURATED_SEEN if seen else MAX_SATURATED):
             out[:] = 0
             return out
-        raw = self._hot_pixels.mended(raw)
-        raw_residual = raw if raw_residual is None else self._hot_pixels.mended(raw_residual)
-        self._fill(raw, raw_residual, self._offset, out)
-        if seen and saturated > MAX_SATURATED_PIXELS:
-            self._add_beyond(raw, raw_residual, limit, out)
+        confocal = residual = self._mended(frame)
+        if raw_residual is not None and raw_residual is not raw:
+            residual = self._mended(raw_residual)
+        self._fill(confocal, residual, self._offset, out)
+        if seen and saturated > MAX_SATURATED_PIXELS and self._saturated_share(frame, limit) > MAX_SATURATED_PIXELS:
+            self._add_beyond(confocal, residual, limit, out)
         return out
+
+    def _mended(self, frame: NDArray[Any]) -> NDArray[Any]:
+        return _readable(self._hot_pixels.mended(frame))
+
+    def _saturated_share(self, frame: NDArray[Any], limit: float) -> float:
+        """Return the share of saturated pixels in the middle of the confocal view, of which :func:`survey` sees few."""
+        middle = frame[tuple(slice(along.start, along.stop) for along in self._middle)]
+        return float(np.count_nonzero(middle == limit) / middle.size)
 
     def _fill(
         self, raw: NDArray[Any], raw_residual: NDArray[Any], offset: NDArray[np.float32], out: NDArray[np.float32]
     ) -> None:
-        frames, pixels = (_readable(raw), _readable(raw_residual)), tuple(range(self.grid.binning))
-        subtract_views(*frames, pixels, self._blocks, self._weights, self._scale, offset, self._scratch, out)
+        subtract = _subtract_views(raw.dtype, raw_residual.dtype, self.grid.binning)
+        subtract(
+            raw, raw_residual, self._pixels, self._blocks, self._weights, self._scale, offset, self._scratch, out
+        )  # fmt: skip
 
     def _add_beyond(
         self, raw: NDArray[Any], raw_residual: NDArray[Any], limit: float, out: NDArray[np.float32]
     ) -> None:
         """Add the light that saturated pixels did not show."""
-        confocal, unit = self._saturated.beyond(_readable(raw), limit)
-        residual = confocal if raw_residual is raw else self._saturated.beyond(_readable(raw_residual), limit)[0]
+        confocal, unit = self._saturated.beyond(raw, limit)
+        residual = confocal if raw_residual is raw else self._saturated.beyond(raw_residual, limit)[0]
         more = np.empty_like(out)
-        self._fill(confocal, residual, np.zeros_like(out), more)
+        self._fill(_readable(confocal), _readable(residual), np.zeros_like(out), more)
         out += np.float32(unit) * more
 
     def _binned(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -203,6 +219,13 @@ class FrontEnd:
             left = flat - 1 - cropped(fine, back, len(flat))
         binned: NDArray[np.float32] = 1 + fine.reshape(grid.side, q, grid.side, q).mean(axis=(1, 3))
         return binned
+
+
+@cache
+def _subtract_views(*kinds: Any) -> Callable[..., None]:
+    """Return the kernel for frames of one kind of pixels each, and one binning."""
+    del kinds
+    return resolved_once(subtract_views)
 
 
 def _readable(frame: NDArray[Any]) -> NDArray[Any]:
