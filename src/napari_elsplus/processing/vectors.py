@@ -5,15 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
+from numba.core import cgutils
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
 FLOAT: Final = ir.FloatType()
 INT32: Final = ir.IntType(32)
+PLACE: Final = ir.IntType(64)
+"""Of elements of arrays."""
+LANES: Final = 16 if binding.get_host_cpu_features().get("avx512f") else 8
+"""Numbers of float32 in a vector where many of them are kept at once: longer ones would not stay in registers."""
 _CONTRACT: Final = ("contract",)
 """Allows that a product and a sum are rounded once."""
 _LINE: Final = 16
@@ -81,18 +86,59 @@ class Vectors:
         """
         return self._builder.fadd(self._builder.fmul(a, b, flags=_CONTRACT), c, flags=_CONTRACT)
 
-    def load(self, data: Any, element: Any) -> Any:
+    def weighted(self, values: Sequence[Any], weights: Sequence[Any]) -> Any:
+        """Return the weighted sum of vectors.
+
+        Parameters
+        ----------
+        values, weights : sequence of llvmlite.ir.Value
+            Vectors of float32.
+        """
+        total = self._builder.fmul(values[0], weights[0])
+        for value, weight in zip(values[1:], weights[1:], strict=True):
+            total = self.fused(value, weight, total)
+        return total
+
+    def load(self, data: Any, element: Any, count: Any = None) -> Any:
         """Return consecutive numbers of an array.
 
         Parameters
         ----------
         data : llvmlite.ir.Value
-            Pointer to float32.
+            Pointer to them.
         element : llvmlite.ir.Value
             Index of the first one.
+        count : llvmlite.ir.Value, optional
+            Number of those that are read, of float32, or less than 0: the others are 0. By default the whole vector.
         """
-        place = self._builder.gep(data, [element])
-        return self._builder.load(self._builder.bitcast(place, self.of(FLOAT).as_pointer()), align=4)
+        place, kind = self._builder.gep(data, [element]), self.of(data.type.pointee)
+        if count is None:
+            return self._builder.load(self._builder.bitcast(place, kind.as_pointer()), align=4)
+        lane = ir.Constant(self.of(PLACE), list(range(self.length)))
+        read = self._builder.icmp_signed("<", lane, self.spread(count))
+        takes = ir.FunctionType(kind, [kind.as_pointer(), INT32, read.type, kind])
+        function = cgutils.get_or_insert_function(self._builder.module, takes, f"llvm.masked.load.v{self.length}f32.p0")
+        zero = ir.Constant(kind, [0.0] * self.length)
+        return self._builder.call(function, [self._builder.bitcast(place, kind.as_pointer()), INT32(4), read, zero])
+
+    def totals(self, values: Sequence[Any]) -> list[Any]:
+        """Return vectors of the sums of the numbers of some vectors, one after the other.
+
+        Parameters
+        ----------
+        values : sequence of llvmlite.ir.Value
+            Vectors of float32, all of whose sums are found together.
+        """
+        zero, step = ir.Constant(self.of(FLOAT), [0.0] * self.length), 1
+        sums = [*values, *[zero] * (-len(values) % self.length)]
+        while step < self.length:
+            # of two vectors each number is added to the one `step` beside it, by turns of the one and the other
+            lower = [k // (2 * step) * 2 * step + k % step + k // step % 2 * self.length for k in range(self.length)]
+            upper = [k + step for k in lower]
+            pairs = zip(sums[::2], sums[1::2], strict=True)
+            sums = [self._builder.fadd(self.chosen(*pair, lower), self.chosen(*pair, upper)) for pair in pairs]
+            step *= 2
+        return sums
 
     def store(self, vector: Any, data: Any, element: Any) -> None:
         """Store a vector as consecutive numbers of an array.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, finely_sampled, reaches
+from napari_elsplus.processing.tracking.front_end.sampling import finely_sampled, reaches, sampled, scratch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,24 +15,20 @@ SIDE = 40
 
 
 @lean_kernel
-def between_four(image, above, down, left, across, size, work):
-    corners, weights = bilinear(image, above, down, left, across, size)
-    for k in range(size):
-        work[0, k] = between(corners, weights, k)
+def between_four(image, above, down, left, across, size, samples):
+    sampled(image, above, down, left, across, size, samples)
 
 
 @lean_kernel
-def through_six(image, above, down, left, across, size, work):
-    corners, weights = finely_sampled(image, above, down, left, across, size, work)
-    for k in range(size):
-        work[0, k] = between(corners, weights, k)
+def through_six(image, above, down, left, across, size, samples):
+    finely_sampled(image, above, down, left, across, size, samples)
 
 
 def samples(sampled: Callable[..., None], image: np.ndarray, row: float, col: float, size: int) -> np.ndarray:
     above, left = int(row), int(col)
-    work = np.zeros((2, SIDE), np.float32)
-    sampled(image, above, row - above, left, col - left, size, work)
-    return work[0, :size]
+    memory = scratch(SIDE)
+    sampled(image, above, row - above, left, col - left, size, memory)
+    return memory[:size]
 
 
 def wave(row: np.ndarray, col: np.ndarray, radians_per_px: float) -> np.ndarray:
@@ -55,12 +51,12 @@ def test_fine_structure_is_not_moved(part: float) -> None:
     row, col = np.mgrid[:SIDE, :SIDE]
     expected = wave(np.array(15 + part), 10 + part + np.arange(20), 1.0)
     moved = {}
-    for sampled in (between_four, through_six):
+    for kernel in (between_four, through_six):
         found = sum(
-            unit * samples(sampled, getattr(wave(row, col, 1.0), name).astype(np.float32), 15 + part, 10 + part, 20)
+            unit * samples(kernel, getattr(wave(row, col, 1.0), name).astype(np.float32), 15 + part, 10 + part, 20)
             for unit, name in ((1, "real"), (1j, "imag"))
         )
-        moved[sampled] = abs(np.angle((found * expected.conj()).sum()))  # radians, which here are pixels
+        moved[kernel] = abs(np.angle((found * expected.conj()).sum()))  # radians, which here are pixels
     assert moved[through_six] < 1e-3
     assert moved[between_four] > 4 * moved[through_six]
 

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.processing.compiled import compilable, lean_kernel
+from napari_elsplus.processing.tracking.front_end.filtered_rows import filter_row
+from napari_elsplus.processing.vectors import LANES, aligned_zeros
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
 _BEFORE: Final = 2
 _AFTER: Final = 3
 """Pixels of the polynomial before the one that a sample follows, and after it."""
-_WHOLE_PX: Final = 8
-"""Numbers in a vector: loops over a multiple of it have no remainder, for which pixels are added one by one."""
 
 
 class FramePair(NamedTuple):
@@ -48,6 +48,11 @@ class FramePair(NamedTuple):
     first: NDArray[np.int32]
     last: NDArray[np.int32]
     middle: float
+
+
+def scratch(side: int) -> NDArray[np.float32]:
+    """Return memory for samples of a row of an image with so many columns, `side`, in whole vectors."""
+    return aligned_zeros(side + LANES)
 
 
 @lean_kernel
@@ -135,44 +140,49 @@ def reaches(shape: tuple[int, int], above: int, left: int, size: int) -> bool:
 
 @lean_kernel
 def finely_sampled(
-    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int, work: NDArray[np.float32]
-) -> tuple[tuple[NDArray[np.float32], ...], tuple[np.float32, ...]]:
+    image: NDArray[np.float32],
+    above: int,
+    down: float,
+    left: int,
+    across: float,
+    size: int,
+    samples: NDArray[np.float32],
+) -> None:
     """Sample a row on Lagrange's polynomial through six by six pixels; all of them must be there: :func:`reaches`.
 
     Parameters
     ----------
     image : numpy.ndarray
-        (n, m) float32.
+        (n, m) float32, C-contiguous.
     above, down : int, float
         Row above the samples, and how far below it they lie, 0 to 1.
     left, across : int, float
         Column before the first sample, and how far beyond it that lies, 0 to 1.
     size : int
         Number of samples.
-    work : numpy.ndarray
-        (2, m) float32 scratch; the samples are in its first row.
-
-    Returns
-    -------
-    corners, weights : tuple
-        What :func:`between` gives them by, as it does those between four pixels.
+    samples : numpy.ndarray
+        From :func:`scratch`; the first `size` are the samples, the others arbitrary.
     """
-    wide = min(-(-size // _WHOLE_PX) * _WHOLE_PX, image.shape[1] - left - _AFTER)
-    begin, end = left - _BEFORE, min(left - _BEFORE + wide + _WHOLE_PX, image.shape[1])
-    v0, v1, v2, v3, v4, v5 = _quintic(down)
-    r0, r1, r2 = image[above - 2, begin:end], image[above - 1, begin:end], image[above, begin:end]
-    r3, r4, r5 = image[above + 1, begin:end], image[above + 2, begin:end], image[above + 3, begin:end]
-    columns = work[1, : end - begin]
-    for k in range(end - begin):
-        columns[k] = v0 * r0[k] + v1 * r1[k] + v2 * r2[k] + v3 * r3[k] + v4 * r4[k] + v5 * r5[k]
-    w0, w1, w2, w3, w4, w5 = _quintic(across)
-    c0, c1, c2 = columns[:wide], columns[1 : wide + 1], columns[2 : wide + 2]
-    c3, c4, c5 = columns[3 : wide + 3], columns[4 : wide + 4], columns[5 : wide + 5]
-    samples = work[0, :wide]
-    for k in range(wide):
-        samples[k] = w0 * c0[k] + w1 * c1[k] + w2 * c2[k] + w3 * c3[k] + w4 * c4[k] + w5 * c5[k]
-    nothing = np.float32(0)
-    return (samples, samples, samples, samples), (np.float32(1), nothing, nothing, nothing)
+    columns, first = image.shape[1], left - _BEFORE
+    r0, r1, r2 = (above - 2) * columns + first, (above - 1) * columns + first, above * columns + first
+    rows = r0, r1, r2, r2 + columns, r2 + 2 * columns, r2 + 3 * columns
+    filter_row(image, rows, _quintic(down), _quintic(across), samples, 0, size)
+
+
+@lean_kernel
+def sampled(
+    image: NDArray[np.float32],
+    above: int,
+    down: float,
+    left: int,
+    across: float,
+    size: int,
+    samples: NDArray[np.float32],
+) -> None:
+    """Sample a row between four pixels; parameters as of :func:`finely_sampled`."""
+    first = above * image.shape[1] + left
+    upper, near = (np.float32(1 - down), np.float32(down)), (np.float32(1 - across), np.float32(across))
+    filter_row(image, (first, first + image.shape[1]), upper, near, samples, 0, size)
 
 
 @compilable

@@ -17,6 +17,37 @@ import numpy as np
 from napari_elsplus.processing.compiled import compilable, lean_kernel
 from napari_elsplus.processing.tracking.front_end import sampling
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
+from napari_elsplus.processing.tracking.registration.row_sums import (
+    GE,
+    I1,
+    II,
+    MOMENTS,
+    T1,
+    TI,
+    TT,
+    U1,
+    UE,
+    UT,
+    UU,
+    UW,
+    UX,
+    W1,
+    WE,
+    WT,
+    WW,
+    WX,
+    WY,
+    X1,
+    XE,
+    XT,
+    XX,
+    Y1,
+    YE,
+    YT,
+    YX,
+    YY,
+    add_row_sums,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,10 +102,10 @@ class Workspace(NamedTuple):
     stiffness, schur : numpy.ndarray
         (4, 4) float64: information of the prior of a warp; what :func:`solve` leaves of the equations of a warp that is
         not kept.
-    sums : numpy.ndarray
-        (5,) float64: of :func:`add_row`.
+    moments : numpy.ndarray
+        (5, 32) float64: sums over pixels, times powers of their row's distance from the middle.
     samples : numpy.ndarray
-        (2, n) float32, as wide as the frames.
+        From :func:`~.sampling.scratch`.
     """
 
     normal: Array
@@ -82,7 +113,7 @@ class Workspace(NamedTuple):
     tone: Array
     stiffness: Array
     schur: Array
-    sums: Array
+    moments: Array
     samples: NDArray[np.float32]
 
     @classmethod
@@ -90,7 +121,8 @@ class Workspace(NamedTuple):
         """Return one for frames of so many rows and columns, `side`."""
         stiffness, schur = np.zeros((2, PARAMETERS, PARAMETERS))
         normal, right = np.zeros((UNKNOWNS + 2, UNKNOWNS + 2)), np.zeros(UNKNOWNS + 2)
-        return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, np.zeros(5), np.zeros((2, side), np.float32))
+        moments = np.zeros((5, MOMENTS))
+        return cls(normal, right, np.array([1.0, 0.0]), stiffness, schur, moments, sampling.scratch(side))
 
 
 @lean_kernel
@@ -117,133 +149,117 @@ def accumulate(
         last ones. For None the kernel is compiled without them.
     """
     template, image, middle = pair.template, pair.image, pair.middle
-    normal, right, sums = work.normal, work.right, work.sums
-    normal[:] = 0.0
-    right[:] = 0.0
-    sums[:] = 0.0
+    of_powers = work.moments[:3]
+    of_powers[:] = 0.0
+    pixels = 0
     for row in range(1, len(template) - 1, how.row_step):
         above, down, whole, across, begin, end = sampling.row_shift(pair, row, warp)
         if end <= begin:
             continue
         size = end - begin
+        pixels += size
         if how.finely and sampling.reaches(image.shape, above, begin + whole, size):
-            corners, weights = sampling.finely_sampled(image, above, down, begin + whole, across, size, work.samples)
+            sampling.finely_sampled(image, above, down, begin + whole, across, size, work.samples)
         else:
-            corners, weights = sampling.bilinear(image, above, down, begin + whole, across, size)
-        powers = (row - middle, 1.0)
-        add_row(template, row, (begin, end), corners, weights, work.tone, powers, column, normal, right, sums)
-    sum_tt, sum_t, count = normal[0, 0], normal[1, 0], normal[1, 1]
-    if count == 0 or sums[3] == 0:
+            sampling.sampled(image, above, down, begin + whole, across, size, work.samples)
+        y = row - middle
+        add_row(template, row, (begin, end), work.samples, work.tone, (1.0, y, y * y), column, of_powers)
+    write_equations(of_powers, float(pixels), (1, 0), (1.0, 1.0), work.tone, column, work.normal, work.right)
+    moments = of_powers[0]
+    count, squares = float(pixels), moments[YY] + moments[XX]
+    if count == 0 or squares == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
-    variances = sum_tt - sum_t * sum_t / count, sums[1] - sums[0] * sums[0] / count
-    return count, *variances, sums[2] - sum_t * sums[0] / count, sums[4] / sums[3]
+    sum_t, sum_i = moments[T1], moments[I1]
+    variances = moments[TT] - sum_t * sum_t / count, moments[II] - sum_i * sum_i / count
+    return count, *variances, moments[TI] - sum_t * sum_i / count, moments[GE] / squares
 
 
 @compilable
 def add_row(
-    template: NDArray[np.float32], row: int, columns: tuple[int, int], corners: tuple[NDArray[np.float32], ...],
-    weights: tuple[np.float32, ...], tone: Array, powers: tuple[float, ...], column: float | None, normal: Array,
-    right: Array, sums: Array,
+    template: NDArray[np.float32], row: int, columns: tuple[int, int], samples: NDArray[np.float32], tone: Array,
+    powers: tuple[float, ...], column: float | None, moments: Array,
 ) -> None:  # fmt: skip
-    """Add a row of the template, and what it is compared with, to normal equations.
+    """Add a row of the template, and what it is compared with, to moments.
 
     Parameters
     ----------
     template : numpy.ndarray
-        (n, n) float32: the earlier frame.
+        (n, n) float32, C-contiguous: the earlier frame.
     row : int
-        Row of the template.
+        Row of the template, not its first or last one.
     columns : tuple of int
-        First column and the one after the last.
-    corners, weights : tuple
-        Give samples of the image by :func:`~.sampling.between`.
+        First column and the one after the last, neither at the edge.
+    samples : numpy.ndarray
+        (m,) float32, m at least the number of columns: the image there.
     tone : numpy.ndarray
         Gain and offset of the image against the template.
     powers : tuple of float
-        (m,) derivatives of the row's shift by the m coefficients that each axis has.
+        Powers 0, 1, 2, ... of the row's distance from the middle.
     column
         As of :func:`accumulate`.
-    normal, right : numpy.ndarray
-        (2 m + 2, 2 m + 2) and (2 m + 2,), or larger, for gain, offset, the coefficients of rows and those of columns;
-        columns of gain and offset from the diagonal on.
-    sums : numpy.ndarray
-        (5,), for sums over pixels: of the image i, i i, and i times the template; of the squared gradient, and of that
-        times the squared residual.
+    moments : numpy.ndarray
+        (m, 32) float64 for as many powers.
     """
-    begin, end = columns
-    gain, offset, half, zero = np.float32(tone[0]), np.float32(tone[1]), np.float32(0.5), np.float32(0)
-    here, over, under = template[row, begin:end], template[row - 1, begin:end], template[row + 1, begin:end]
-    left, right_of = template[row, begin - 1 : end - 1], template[row, begin + 1 : end + 1]
-    t1, i1, tt, ti, ii = zero, zero, zero, zero, zero
-    y1, x1, yy, yx, xx, yt, xt, ye, xe, gg = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
-    w1, ww, wy, wx, wt, we, x0 = zero, zero, zero, zero, zero, zero, zero
-    u1, uu, ux, uw, ut, ue = zero, zero, zero, zero, zero, zero
-    if column is not None:
-        x0 = np.float32(begin - column)
-    for k in range(end - begin):
-        t, gx, gy = here[k], half * (right_of[k] - left[k]), half * (under[k] - over[k])
-        i = sampling.between(corners, weights, k)
-        e = i - gain * t - offset
-        t1 += t
-        i1 += i
-        tt += t * t
-        ti += t * i
-        ii += i * i
-        y1 += gy
-        x1 += gx
-        yy += gy * gy
-        yx += gy * gx
-        xx += gx * gx
-        yt += gy * t
-        xt += gx * t
-        ye += gy * e
-        xe += gx * e
-        gg += (gy * gy + gx * gx) * e * e
-        if column is not None:
-            x = x0 + np.float32(np.int32(k))
-            w, u = x * gy, x * gx
-            w1 += w
-            ww += w * w
-            wy += w * gy
-            wx += w * gx
-            wt += w * t
-            we += w * e
-            u1 += u
-            uu += u * u
-            ux += u * gx
-            uw += u * w
-            ut += u * t
-            ue += u * e
-    gradients, both, with_tone, with_residual = ((yy, yx), (yx, xx)), (y1, x1), (yt, xt), (ye, xe)
-    size = len(powers)
+    begin, size, side = columns[0], columns[1] - columns[0], template.shape[1]
+    at, tones = row * side + begin, (np.float32(tone[0]), np.float32(tone[1]))
+    if column is None:
+        add_row_sums(template, at, side, samples, tones, size, None, powers, moments)
+    else:
+        add_row_sums(template, at, side, samples, tones, size, np.float32(begin - column), powers, moments)
+
+
+@compilable
+def write_equations(
+    moments: Array, count: float, powers: tuple[int, ...], scales: tuple[float, ...], tone: Array, column: float | None,
+    normal: Array, right: Array,
+) -> None:  # fmt: skip
+    """Write normal equations of gain, offset and the coefficients of rows and of columns, to be completed.
+
+    Parameters
+    ----------
+    moments : numpy.ndarray
+        Of :func:`add_row`.
+    count : float
+        Number of pixels.
+    powers : tuple of int
+        (m,): the shift of a row by each of the m coefficients of an axis goes with this power of its distance.
+    scales : tuple of float
+        (m,): by these factors.
+    tone, column
+        As of :func:`add_row`.
+    normal, right : numpy.ndarray
+        (2 m + 2, 2 m + 2) and (2 m + 2,), or larger: columns of gain and offset from the diagonal on are written, and
+        those of the coefficients.
+    """
+    of_pixels, size = moments[0], len(powers)
+    gradients, both, with_tone, with_residual = ((YY, YX), (YX, XX)), (Y1, X1), (YT, XT), (YE, XE)
     for m in range(2):
         for p in range(size):
-            at = TONE + size * m + p
+            at, scale, power = TONE + size * m + p, scales[p], powers[p]
             for n in range(2):
                 for q in range(size):
-                    normal[at, TONE + size * n + q] += powers[p] * powers[q] * gradients[m][n]
-            normal[at, 0] += powers[p] * with_tone[m]
-            normal[at, 1] += powers[p] * both[m]
-            right[at] += powers[p] * with_residual[m]
+                    of_both = moments[power + powers[q], gradients[m][n]]
+                    normal[at, TONE + size * n + q] = scale * scales[q] * of_both
+            normal[at, 0] = scale * moments[power, with_tone[m]]
+            normal[at, 1] = scale * moments[power, both[m]]
+            right[at] = scale * moments[power, with_residual[m]]
     if column is not None:
         turn, stretch = TONE + 2 * size, TONE + 2 * size + 1
-        for at, of_1, of_t, of_y, of_x, of_e in ((turn, w1, wt, wy, wx, we), (stretch, u1, ut, wx, ux, ue)):
-            normal[at, 0] += of_t
-            normal[at, 1] += of_1
+        for at, of_1, of_t, of_y, of_x, of_e in ((turn, W1, WT, WY, WX, WE), (stretch, U1, UT, WX, UX, UE)):
+            normal[at, 0] = of_pixels[of_t]
+            normal[at, 1] = of_pixels[of_1]
             for p in range(size):
-                normal[at, TONE + p] += powers[p] * of_y
-                normal[at, TONE + size + p] += powers[p] * of_x
-            right[at] += of_e
-        normal[turn, turn] += ww
-        normal[stretch, turn] += uw
-        normal[stretch, stretch] += uu
-    normal[0, 0] += float(tt)
-    normal[1, 0] += float(t1)
-    normal[1, 1] += end - begin
-    right[0] += float(ti) - tone[0] * float(tt) - tone[1] * float(t1)
-    right[1] += float(i1) - tone[0] * float(t1) - tone[1] * (end - begin)
-    for n, total in enumerate((float(i1), float(ii), float(ti), float(yy) + float(xx), float(gg))):
-        sums[n] += total
+                normal[at, TONE + p] = scales[p] * moments[powers[p], of_y]
+                normal[at, TONE + size + p] = scales[p] * moments[powers[p], of_x]
+            right[at] = of_pixels[of_e]
+        normal[turn, turn] = of_pixels[WW]
+        normal[stretch, turn] = of_pixels[UW]
+        normal[stretch, stretch] = of_pixels[UU]
+    normal[0, 0] = of_pixels[TT]
+    normal[1, 0] = of_pixels[T1]
+    normal[1, 1] = count
+    right[0] = of_pixels[TI] - tone[0] * of_pixels[TT] - tone[1] * of_pixels[T1]
+    right[1] = of_pixels[I1] - tone[0] * of_pixels[T1] - tone[1] * count
 
 
 @compilable

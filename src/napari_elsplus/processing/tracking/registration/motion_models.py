@@ -28,6 +28,7 @@ from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration import lucas_kanade
 from napari_elsplus.processing.tracking.registration.lucas_kanade import TONE, UNKNOWNS
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, in_pixels_of
+from napari_elsplus.processing.tracking.registration.row_sums import I1
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -231,7 +232,7 @@ def score_rotation(
     tone[0], tone[1] = 1.0, 0.0
     count, template_sum, _, both, _ = lucas_kanade.accumulate(pair, _TONE, there, work, None)
     tone[0] = both / template_sum
-    tone[1] = (work.sums[0] - tone[0] * normal[1, 0]) / count
+    tone[1] = (work.moments[0, I1] - tone[0] * normal[1, 0]) / count
     count, template_sum, image_sum, _, noise = lucas_kanade.accumulate(pair, _SCORED, there, work, column)
     noise *= CORRELATED_PX / 4
     if not (noise > 0 and template_sum > 0 and image_sum > 0):

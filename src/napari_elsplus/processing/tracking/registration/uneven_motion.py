@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.compiled import lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import bilinear, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import row_shift, sampled, scratch
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration import lucas_kanade
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX, in_pixels_of, prior_terms, write_prior
+from napari_elsplus.processing.tracking.registration.row_sums import GE, MOMENTS, XX, YY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -67,9 +68,10 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
     values, mean, right = np.zeros(_UNKNOWNS), np.zeros(_UNKNOWNS), np.empty(_UNKNOWNS)
     values[_OF_WARP], mean[_OF_WARP] = start, expected
     values[0] = mean[0] = 1.0
-    square, sums = 2 / motion.line_periods_per_frame**2, np.empty(5)
+    square, moments = 2 / motion.line_periods_per_frame**2, np.empty((5, MOMENTS))
+    samples = scratch(len(pair.image))
     for _ in range(_STEPS.steps):
-        noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right, sums)
+        noise = CORRELATED_PX / 4 * _equations(pair, values, square, normal, right, moments, samples)
         if not noise > 0:
             return None
         try:
@@ -87,7 +89,10 @@ def align_unevenly(pair: FramePair, motion: MotionPrior, warp: Warp, jerk_sigma:
 
 
 @lean_kernel
-def _equations(pair: FramePair, values: Array, square: float, normal: Array, right: Array, sums: Array) -> float:
+def _equations(
+    pair: FramePair, values: Array, square: float, normal: Array, right: Array, moments: Array,
+    samples: NDArray[np.float32],
+) -> float:  # fmt: skip
     """Fill the normal equations of gain, offset, a, b, J, s, d and J; return the variance of the noise.
 
     Parameters
@@ -98,13 +103,14 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         (8,) of these, in pixels of the frames.
     square : float
         Shift of a row by J = 1 over the square of its distance from the middle.
-    normal, right, sums : numpy.ndarray
-        (8, 8), (8,) and (5,), filled.
+    normal, right, moments : numpy.ndarray
+        (8, 8), (8,) and (5, 32), filled.
+    samples : numpy.ndarray
+        From :func:`~.sampling.scratch`.
     """
-    normal[:] = 0.0
-    right[:] = 0.0
+    moments[:] = 0.0
+    pixels = 0
     a, b, jerk_down, s, d, jerk_aside = values[2], values[3], values[4], values[5], values[6], values[7]
-    sums[:] = 0.0
     for row in range(1, len(pair.template) - 1):
         y = row - pair.middle
         bend = square * y * y
@@ -112,9 +118,12 @@ def _equations(pair: FramePair, values: Array, square: float, normal: Array, rig
         above, down, whole, across, begin, end = row_shift(pair, row, warp)
         if end <= begin:
             continue
-        corners, weights = bilinear(pair.image, above, down, begin + whole, across, end - begin)
-        lucas_kanade.add_row(
-            pair.template, row, (begin, end), corners, weights, values, (y, 1.0, bend), None, normal, right, sums
-        )  # fmt: skip
+        sampled(pair.image, above, down, begin + whole, across, end - begin, samples)
+        pixels += end - begin
+        powers = (1.0, y, y**2, y**3, y**4)
+        lucas_kanade.add_row(pair.template, row, (begin, end), samples, values, powers, None, moments)
+    scales = (1.0, 1.0, square)
+    lucas_kanade.write_equations(moments, float(pixels), (1, 0, 2), scales, values, None, normal, right)
     lucas_kanade.complete(normal, right, values[0])
-    return sums[4] / sums[3] if sums[3] > 0 else 0.0
+    squares = moments[0, YY] + moments[0, XX]
+    return moments[0, GE] / squares if squares > 0 else 0.0
