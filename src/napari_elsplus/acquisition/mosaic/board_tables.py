@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MAX_TILES: Final = 1 << 14
+MAX_TILES: Final = 1 << 16
 """Tiles that a board can name; chosen: 32 GB of them, more than a computer's memory."""
 CHANGES: Final = 1 << 12
 """Changed rectangles that are kept; chosen: 17 s at 240 Hz, after which a reader copies everything."""
-TILES_TOGETHER: Final = 8
+TILES_TOGETHER: Final = 32
 """Tiles in one segment; chosen: a segment is added a few times a second at most."""
 FREE: Final = -1
 """Segment of a tile that is not in use."""
