@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from llvmlite import binding, ir
+from numba import types
 from numba.core import cgutils
 
 if TYPE_CHECKING:
@@ -114,12 +115,16 @@ class Vectors:
         place, kind = self._builder.gep(data, [element]), self.of(data.type.pointee)
         if count is None:
             return self._builder.load(self._builder.bitcast(place, kind.as_pointer()), align=4)
-        lane = ir.Constant(self.of(PLACE), list(range(self.length)))
-        read = self._builder.icmp_signed("<", lane, self.spread(count))
+        read = self._first(count)
         takes = ir.FunctionType(kind, [kind.as_pointer(), INT32, read.type, kind])
         function = cgutils.get_or_insert_function(self._builder.module, takes, f"llvm.masked.load.v{self.length}f32.p0")
         zero = ir.Constant(kind, [0.0] * self.length)
         return self._builder.call(function, [self._builder.bitcast(place, kind.as_pointer()), INT32(4), read, zero])
+
+    def _first(self, count: Any) -> Any:
+        """Return which numbers are the first so many."""
+        lane = ir.Constant(self.of(PLACE), list(range(self.length)))
+        return self._builder.icmp_signed("<", lane, self.spread(count))
 
     def totals(self, values: Sequence[Any]) -> list[Any]:
         """Return vectors of the sums of the numbers of some vectors, one after the other.
@@ -140,7 +145,7 @@ class Vectors:
             step *= 2
         return sums
 
-    def store(self, vector: Any, data: Any, element: Any) -> None:
+    def store(self, vector: Any, data: Any, element: Any, count: Any = None) -> None:
         """Store a vector as consecutive numbers of an array.
 
         Parameters
@@ -151,9 +156,23 @@ class Vectors:
             Pointer to its kind of numbers.
         element : llvmlite.ir.Value
             Index of the first one.
+        count : llvmlite.ir.Value, optional
+            Number of those that are stored, of float32, or less than 0 for none. By default the whole vector.
         """
-        place = self._builder.gep(data, [element])
-        self._builder.store(vector, self._builder.bitcast(place, vector.type.as_pointer()), align=4)
+        place = self._builder.bitcast(self._builder.gep(data, [element]), vector.type.as_pointer())
+        if count is None:
+            self._builder.store(vector, place, align=4)
+            return
+        stored = self._first(count)
+        takes = ir.FunctionType(ir.VoidType(), [vector.type, place.type, INT32, stored.type])
+        name = f"llvm.masked.store.v{self.length}f32.p0"
+        function = cgutils.get_or_insert_function(self._builder.module, takes, name)
+        self._builder.call(function, [vector, place, INT32(4), stored])
+
+
+def are_images(*kinds: Any) -> bool:
+    """Return True if all types, `kinds`, are of C-contiguous arrays of float32, whose numbers vectors consist of."""
+    return all(kind.layout == "C" and kind.dtype == types.float32 for kind in kinds)
 
 
 def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:

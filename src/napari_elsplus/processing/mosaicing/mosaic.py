@@ -17,8 +17,8 @@ from napari_elsplus.processing.compiled import lean_kernel, prefetch
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, exposure_gain, overlap_sums
 from napari_elsplus.processing.mosaicing.footprint import Footprint, rows_on_tile
 from napari_elsplus.processing.mosaicing.tiles import Rectangle, Tile, TiledCanvas, TileStore, tile_rectangle
+from napari_elsplus.processing.tracking.front_end.filtered_rows import lay_row
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid, lit_pixels
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared, upright
 
@@ -257,6 +257,7 @@ class Mosaic(TiledCanvas):
         clarity: NDArray[np.float32] | None = None,
     ) -> tuple[NDArray[np.float32], Arguments]:
         """Return a frame and its footprint; one that is rotated is resampled onto the canvas' own pixels."""
+        image = np.ascontiguousarray(image, np.float32)  # as the kernel reads it
         weights = self._weights if clarity is None else self._weights * clarity
         centre = self.grid.centre
         if angle != 0:
@@ -334,20 +335,11 @@ def insert_rows(
             prefetch(value, r + _ROWS_AHEAD, k)
             prefetch(weight, r + _ROWS_AHEAD, k)
             prefetch(image_weight, above + _ROWS_AHEAD, k + whole)
-        corners, parts = bilinear(image, above, down, begin + whole, across, end - begin)
         nearest = above + (1 if down >= 0.5 else 0)
         aside = whole + (1 if across >= 0.5 else 0)
-        weights = image_weight[nearest, begin + aside : end + aside]
-        into, had = value[r, begin:end], weight[r, begin:end]
-        if blend:
-            for k in range(end - begin):
-                new = between(corners, parts, k)
-                into[k] += weights[k] * new
-                had[k] += weights[k]
-        else:
-            for k in range(end - begin):
-                new = between(corners, parts, k)
-                lies, outweighs, heavy = into[k], had[k], weights[k]
-                covers = heavy >= np.float32(_COVERING_RATIO) * outweighs  # all is read before: no branch
-                into[k] = new if covers else lies
-                had[k] = heavy if covers else outweighs
+        pixel = above * side + begin + whole
+        upper, near = (np.float32(1 - down), np.float32(down)), (np.float32(1 - across), np.float32(across))
+        lay_row(
+            image, (pixel, pixel + side), upper, near, image_weight, nearest * side + begin + aside, value, weight,
+            r * width + begin, end - begin, np.float32(_COVERING_RATIO), blend,
+        )  # fmt: skip

@@ -16,7 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from napari_elsplus.processing.compiled import build_prefetch
-from napari_elsplus.processing.vectors import FLOAT, Vectors, data_of
+from napari_elsplus.processing.vectors import FLOAT, Vectors, are_images, data_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -213,7 +213,7 @@ def _smooth_row(_: Any, rows: Any, begins: Any, scale: Any, offset: Any, out: An
     at, count : int
         Element of the first pixel in the images, and the number of vectors.
     """
-    if any(kind.layout != "C" for kind in (rows, scale, offset, out)):
+    if not are_images(rows, scale, offset, out):
         return None
     return types.void(
         rows, types.UniTuple(types.int64, 5), scale, offset, out, types.int64, types.int64

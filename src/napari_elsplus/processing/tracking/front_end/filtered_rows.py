@@ -8,7 +8,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from napari_elsplus.processing.vectors import LANES, PLACE, Vectors, data_of
+from napari_elsplus.processing.vectors import LANES, PLACE, Vectors, are_images, data_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,14 +19,16 @@ if TYPE_CHECKING:
     Weights = tuple[np.float32, ...]
 
 
-def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    kinds = signature.args
-    pixels, out = (data_of(context, builder, kinds[k], arguments[k]) for k in (0, 4))
-    begins, down, across = (cgutils.unpack_tuple(builder, arguments[k], len(kinds[k])) for k in (1, 2, 3))
-    at, size = arguments[5:]
-    vectors, length = Vectors(builder, LANES), PLACE(LANES)
-    down, across = ([vectors.spread(weight) for weight in weights] for weights in (down, across))
-    read = builder.add(size, PLACE(len(across) - 1))
+def _filtered(
+    builder: Any, vectors: Vectors, pixels: Any, begins: list[Any], weights: tuple[list[Any], list[Any]], size: Any,
+    take: Callable[[Any, Any, Any], None],
+) -> None:  # fmt: skip
+    """Build the loop over a run of pixels, in vectors; `take` receives its first pixel, it, and how many are left.
+
+    The last is None for a whole vector.
+    """
+    down, across = ([vectors.spread(weight) for weight in each] for each in weights)
+    length, read = PLACE(vectors.length), builder.add(size, PLACE(len(across) - 1))
 
     def along_columns(first: Any, *, whole: bool) -> Any:
         left = None if whole else builder.sub(read, first)
@@ -34,7 +36,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return vectors.weighted(rows, down)
 
     before = cgutils.alloca_once_value(builder, along_columns(PLACE(0), whole=False))
-    count = builder.sdiv(builder.add(size, PLACE(LANES - 1)), length)
+    count = builder.sdiv(builder.add(size, PLACE(vectors.length - 1)), length)
     few = builder.sub(builder.sdiv(read, length), PLACE(1))
     full = builder.select(builder.icmp_signed(">", few, PLACE(0)), few, PLACE(0))
     for begin, end, whole in ((PLACE(0), full, True), (full, count, False)):
@@ -42,8 +44,41 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             first = builder.mul(loop.index, length)
             here, beyond = builder.load(before), along_columns(builder.add(first, length), whole=whole)
             builder.store(beyond, before)
-            shifted = [vectors.chosen(here, beyond, range(k, k + LANES)) for k in range(len(across))]
-            vectors.store(vectors.weighted(shifted, across), out, builder.add(at, first))
+            shifted = [vectors.chosen(here, beyond, range(k, k + vectors.length)) for k in range(len(across))]
+            take(first, vectors.weighted(shifted, across), None if whole else builder.sub(size, first))
+
+
+def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kinds, vectors = signature.args, Vectors(builder, LANES)
+    pixels, out = (data_of(context, builder, kinds[k], arguments[k]) for k in (0, 4))
+    begins, down, across = (cgutils.unpack_tuple(builder, arguments[k], len(kinds[k])) for k in (1, 2, 3))
+    at, size = arguments[5:]
+
+    def take(first: Any, value: Any, left: Any) -> None:
+        del left
+        vectors.store(value, out, builder.add(at, first))
+
+    _filtered(builder, vectors, pixels, begins, (down, across), size, take)
+    return context.get_dummy_value()
+
+
+def _build_laying(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kinds, vectors = signature.args, Vectors(builder, LANES)
+    pixels, image_weight, value, weight = (data_of(context, builder, kinds[k], arguments[k]) for k in (0, 4, 6, 7))
+    begins, down, across = (cgutils.unpack_tuple(builder, arguments[k], len(kinds[k])) for k in (1, 2, 3))
+    (heavy_at, at), (size, ratio, blend) = (arguments[5], arguments[8]), arguments[9:]
+    ratio = vectors.spread(ratio)
+
+    def take(first: Any, new: Any, left: Any) -> None:
+        to = builder.add(at, first)
+        heavy = vectors.load(image_weight, builder.add(heavy_at, first), left)
+        lies, had = (vectors.load(data, to, left) for data in (value, weight))
+        covers = builder.fcmp_ordered(">=", heavy, builder.fmul(ratio, had))
+        for data, covering, below, added in ((value, new, lies, builder.fmul(heavy, new)), (weight, heavy, had, heavy)):
+            covered = builder.select(covers, covering, below)
+            vectors.store(builder.select(blend, builder.fadd(below, added), covered), data, to, left)
+
+    _filtered(builder, vectors, pixels, begins, (down, across), size, take)
     return context.get_dummy_value()
 
 
@@ -65,7 +100,7 @@ def _filter_row(
     at, size : int
         Element of the first pixel that is filled, and their number.
     """
-    if any(kind.layout != "C" for kind in (pixels, out)):
+    if not are_images(pixels, out):
         return None
     return types.void(pixels, begins, down, across, out, types.int64, types.int64), _build
 
@@ -73,4 +108,52 @@ def _filter_row(
 filter_row = cast(
     "Callable[[NDArray[np.float32], tuple[int, ...], Weights, Weights, NDArray[np.float32], int, int], None]",
     intrinsic(_filter_row),
+)
+
+
+def _lay_row(
+    _: Any, pixels: Any, begins: Any, down: Any, across: Any, image_weight: Any, heavy_at: Any, value: Any, weight: Any,
+    at: Any, size: Any, ratio: Any, blend: Any,
+) -> Any:  # fmt: skip
+    """Lay a filtered row onto a run of pixels: replace them and their weights where it weighs enough, or add it up.
+
+    Parameters
+    ----------
+    pixels, begins, down, across
+        As of :func:`filter_row`.
+    image_weight, heavy_at : numpy.ndarray, int
+        C-contiguous float32, and the element of the weight of the row's first pixel.
+    value, weight, at : numpy.ndarray, numpy.ndarray, int
+        C-contiguous float32, and the element of the first pixel that may be replaced, and its weight.
+    size : int
+        Number of pixels.
+    ratio : float32
+        Least weight over the one that is there.
+    blend : bool
+        Add up weighted pixels and weights instead.
+    """
+    if not are_images(pixels, image_weight, value, weight):
+        return None
+    place = types.int64
+    arguments = (
+        pixels,
+        begins,
+        down,
+        across,
+        image_weight,
+        place,
+        value,
+        weight,
+        place,
+        place,
+        types.float32,
+        types.boolean,
+    )
+    return types.void(*arguments), _build_laying
+
+
+lay_row = cast(
+    "Callable[[NDArray[np.float32], tuple[int, ...], Weights, Weights, NDArray[np.float32], int, NDArray[np.float32], "
+    "NDArray[np.float32], int, int, np.float32, bool], None]",
+    intrinsic(_lay_row),
 )

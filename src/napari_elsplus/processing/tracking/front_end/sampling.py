@@ -85,53 +85,6 @@ def row_shift(pair: FramePair, row: int, warp: Warp) -> tuple[int, float, int, f
 
 
 @lean_kernel
-def bilinear(
-    image: NDArray[np.float32], above: int, down: float, left: int, across: float, size: int
-) -> tuple[tuple[NDArray[np.float32], ...], tuple[np.float32, ...]]:
-    """Return the four runs of pixels between which a row of samples lies, and their weights.
-
-    The runs are the upper one, that right of it, the lower one, and that right of it.
-
-    Parameters
-    ----------
-    image : numpy.ndarray
-        (n, n) float32.
-    above, down : int, float
-        Row above the samples, and how far below it they lie, 0 to 1.
-    left, across : int, float
-        Column before the first sample, and how far beyond it that lies, 0 to 1.
-    size : int
-        Number of samples.
-    """
-    end, up, near = left + size, 1 - down, 1 - across
-    upper, lower = image[above], image[above + 1]
-    return (
-        (upper[left:end], upper[left + 1 : end + 1], lower[left:end], lower[left + 1 : end + 1]),
-        (np.float32(up * near), np.float32(up * across), np.float32(down * near), np.float32(down * across)),
-    )
-
-
-@lean_kernel
-def between(corners: tuple[NDArray[np.float32], ...], weights: tuple[np.float32, ...], k: int) -> np.float32:
-    """Return sample k of such a row.
-
-    Parameters
-    ----------
-    corners, weights : tuple
-        From :func:`bilinear`.
-    k : int
-        Index of the column.
-    """
-    sample: np.float32 = (
-        weights[0] * corners[0][k]
-        + weights[1] * corners[1][k]
-        + weights[2] * corners[2][k]
-        + weights[3] * corners[3][k]
-    )
-    return sample
-
-
-@lean_kernel
 def reaches(shape: tuple[int, int], above: int, left: int, size: int) -> bool:
     """Return True if all pixels that :func:`finely_sampled` reads are there."""
     rows = above >= _BEFORE and above + _AFTER < shape[0]

@@ -11,12 +11,12 @@ of the whole overlap, n / 2 ln(1 / (1 - r^2)) with n independent values.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from napari_elsplus.processing.compiled import compilable, lean_kernel
-from napari_elsplus.processing.tracking.front_end.sampling import between, bilinear, row_shift
+from napari_elsplus.processing.tracking.front_end.sampling import row_shift, sampled, scratch
 from napari_elsplus.processing.tracking.motion.motion_prior import DEGREES_OF_FREEDOM
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Warp
 from napari_elsplus.processing.tracking.registration.lucas_kanade import Iteration, align
@@ -48,14 +48,30 @@ _FIT: Final = Iteration(2, 2, 0.02, False)
 the types of variables, whereas each literal number would have what it is passed to compiled once more."""
 
 
-def blocks(side: int) -> Array:
-    """Return scratch for the sums of every block, for frames of that side at full resolution."""
-    across = -(-(side // 2) // BLOCK_PX)
-    return np.zeros((6, across * across))
+class Blocks(NamedTuple):
+    """Scratch of the odds; one for each thread.
+
+    Parameters
+    ----------
+    sums : numpy.ndarray
+        (6, blocks) float64: sums of every block.
+    samples, others : numpy.ndarray
+        From :func:`~.sampling.scratch`: a row of the image under either warp.
+    """
+
+    sums: Array
+    samples: NDArray[np.float32]
+    others: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, side: int) -> Blocks:
+        """Return those for frames of so many rows and columns at full resolution, `side`."""
+        across = -(-(side // 2) // BLOCK_PX)
+        return cls(np.zeros((6, across * across)), scratch(side // 2), scratch(side // 2))
 
 
 @compilable
-def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
+def log_ratio(pair: FramePair, warp: Warp, other: Warp, blocks: Blocks) -> float:
     """Return the log-likelihood of a warp above that of a competing one, where the frames overlap under both, nats.
 
     The noise of a block is what the warp leaves unexplained in it, its weight that of a Wiener filter.
@@ -66,10 +82,10 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
         High-passed frames of half resolution.
     warp, other : Warp
         Both, in pixels of half resolution.
-    sums : numpy.ndarray
-        From :func:`blocks`.
+    blocks : Blocks
+        For frames of this size.
     """
-    template, image = pair.template, pair.image
+    template, image, sums, samples, others = pair.template, pair.image, blocks.sums, blocks.samples, blocks.others
     across = (len(template) + BLOCK_PX - 1) // BLOCK_PX
     sums[:] = 0.0
     for row in range(len(template)):
@@ -78,8 +94,8 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
         begin, end = max(begin, begin2), min(end, end2)
         if end <= begin:
             continue
-        corners, weights = bilinear(image, above, down, begin + whole, aside, end - begin)
-        corners2, weights2 = bilinear(image, above2, down2, begin + whole2, aside2, end - begin)
+        sampled(image, above, down, begin + whole, aside, end - begin, samples)
+        sampled(image, above2, down2, begin + whole2, aside2, end - begin, others)
         col = begin
         while col < end:
             block = row // BLOCK_PX * across + col // BLOCK_PX
@@ -87,8 +103,7 @@ def log_ratio(pair: FramePair, warp: Warp, other: Warp, sums: Array) -> float:
             zero = np.float32(0)
             tt, ii, ti, ii2, ti2 = zero, zero, zero, zero, zero
             for k in range(col, stop):
-                t, i = template[row, k], between(corners, weights, k - begin)
-                i2 = between(corners2, weights2, k - begin)
+                t, i, i2 = template[row, k], samples[k - begin], others[k - begin]
                 tt += t * t
                 ii += i * i
                 ti += t * i
@@ -165,31 +180,31 @@ def prior_terms(warp: Warp, expected: Warp, terms: Terms) -> tuple[float, float]
 
 
 @lean_kernel
-def log_odds_between(pair: FramePair, warp: Warp, other: Warp, expected: Warp, terms: Terms, sums: Array) -> float:
+def log_odds_between(pair: FramePair, warp: Warp, other: Warp, expected: Warp, terms: Terms, blocks: Blocks) -> float:
     """Return the log odds of a registered warp against another one of the same frames, nats.
 
     Parameters
     ----------
-    pair, sums
+    pair, blocks
         As in :func:`log_ratio`.
     warp, other : Warp
         Both, in pixels of full resolution.
     expected, terms
         As in :func:`prior_terms`.
     """
-    nats = log_ratio(pair, in_pixels_of(2.0, warp), in_pixels_of(2.0, other), sums)
+    nats = log_ratio(pair, in_pixels_of(2.0, warp), in_pixels_of(2.0, other), blocks)
     return nats + prior_terms(other, expected, terms)[1] - prior_terms(warp, expected, terms)[1]
 
 
 @compilable
 def log_odds(
-    pair: FramePair, warp: Warp, information: Array, expected: Warp, terms: Terms, sums: Array, work: Workspace
+    pair: FramePair, warp: Warp, information: Array, expected: Warp, terms: Terms, blocks: Blocks, work: Workspace
 ) -> float:
     """Return the log odds of a warp against competing ones along its weakest direction, nats; at most 700.
 
     Parameters
     ----------
-    pair, sums
+    pair, blocks
         As in :func:`log_ratio`.
     warp, information : Warp, numpy.ndarray
         Registered warp in pixels of full resolution, and its (4, 4) information.
@@ -217,7 +232,7 @@ def log_odds(
         rival, correlated_px = in_pixels_of(2.0, full), CORRELATED_PX / 4 / _FIT.row_step
         work.tone[0], work.tone[1] = 1.0, 0.0
         rival = align(pair, _FIT, in_pixels_of(2.0, centre), held, correlated_px, rival, work.schur, work)[2]
-        less = log_odds_between(pair, warp, in_pixels_of(0.5, rival), expected, terms, sums)
+        less = log_odds_between(pair, warp, in_pixels_of(0.5, rival), expected, terms, blocks)
         against += alike * np.exp(-min(max(less, -700.0), 700.0))
     return float(-np.log(max(against, 1e-300)))
 

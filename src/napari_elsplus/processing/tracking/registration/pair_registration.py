@@ -279,7 +279,7 @@ class Registrar:
         self, earlier: PreparedFrame, later: PreparedFrame, motion: MotionPrior, min_correlation: float
     ) -> PairRegistration:
         """Register two frames from every shift that may be the most likely one; the odds know of the others."""
-        halves, known = self._halves(earlier, later), (motion.warp, motion.terms, self._tools.sums)
+        halves, known = self._halves(earlier, later), (motion.warp, motion.terms, self._tools.blocks)
         starts = self._searched(earlier, later, motion)
         links = [self._refined(earlier, later, motion, start, min_correlation) for start in starts]
         found = [link for link in links if link.correlation > 0] or links[:1]

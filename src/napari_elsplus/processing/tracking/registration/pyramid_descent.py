@@ -60,7 +60,7 @@ class Tools(NamedTuple):
         Of the disc that is compared, pixels of full resolution.
     pyramid : Pyramid
         Fills the levels of frames.
-    sums : numpy.ndarray
+    blocks : Blocks
         Scratch of the odds.
     work : Workspace
         Scratch of Lucas-Kanade.
@@ -70,7 +70,7 @@ class Tools(NamedTuple):
     middles: tuple[float, ...]
     diameter: float
     pyramid: Pyramid
-    sums: NDArray[np.float64]
+    blocks: odds.Blocks
     work: Workspace
 
     @classmethod
@@ -79,7 +79,7 @@ class Tools(NamedTuple):
         half, quarter = grid.binned(2), grid.binned(4)
         lit = grid.spans(INNER_FIELD), half.spans(), quarter.spans(), grid.spans()
         middles = tuple(one.centre[0] for one in (grid, half, quarter, grid))
-        scratch = odds.blocks(grid.side), lucas_kanade.Workspace.of(grid.side)
+        scratch = odds.Blocks.of(grid.side), lucas_kanade.Workspace.of(grid.side)
         return cls(lit, middles, FIELD * grid.diameter, pyramid.Pyramid.of(grid, field), *scratch)
 
 
@@ -156,7 +156,7 @@ def register(
                     for k in range(lucas_kanade.PARAMETERS):
                         information[i, k] = whole[i, k]
             pair = pair_of(1, earlier, later, tools)
-            nats = odds.log_odds(pair, warp, information, expected, terms, tools.sums, tools.work)
+            nats = odds.log_odds(pair, warp, information, expected, terms, tools.blocks, tools.work)
     overlap = overlap_of_discs(np.hypot(warp.b, warp.d) / tools.diameter)
     row, col, variance = later_velocity(prior, warp, information, tools.work)
     return warp.a, warp.b, warp.s, warp.d, correlation, overlap, nats, row, col, variance, at_half

@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from napari_elsplus.processing.vectors import FLOAT, LANES, PLACE, Vectors, data_of
+from napari_elsplus.processing.vectors import FLOAT, LANES, PLACE, Vectors, are_images, data_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -115,7 +115,7 @@ def _add_row_sums(
     moments : numpy.ndarray
         (p, 32) float64, C-contiguous: sums of products of two quantities.
     """
-    if any(kind.layout != "C" for kind in (template, samples, moments)):
+    if not are_images(template, samples) or moments.layout != "C":
         return None
     place, tones = types.int64, types.UniTuple(types.float32, 2)
     column = column if isinstance(column, types.NoneType) else types.float32
