@@ -40,8 +40,6 @@ TITLE_RISE: Final = 0.03
 """Distance of a title from its image, fraction of the image's rows; chosen."""
 TITLE_PT: Final = 12
 """Size of a title, points; chosen."""
-TITLES_METADATA: Final = {"metadata": {PROVENANCE: {"kind": "titles", GIVES_WAY: True}}}
-"""Attribute of a layer of titles that is hidden together with the images below them."""
 MOSAIC: Final = "mosaic"
 """Key of a mosaic's layers in their metadata."""
 
@@ -214,7 +212,8 @@ def titles_above(name: str, layers: Sequence[Layer], titles: Sequence[str]) -> L
     places = [words["translate"] for _, words, _ in layers]
     corners = [(place[-2] / step - rise, place[-1] / step) for place in places]
     place = {key: first[key][-2:] for key in ("scale", "units", "axis_labels")}
-    return titles_layer(name, titles, corners, place | TITLES_METADATA)
+    place["metadata"] = {PROVENANCE: {"kind": "titles", GIVES_WAY: True}}
+    return titles_layer(name, titles, corners, place)
 
 
 def finished_layer(stack: Stack) -> Layer:

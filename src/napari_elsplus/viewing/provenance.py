@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 PROVENANCE: Final = "elsplus"
 """Key in the metadata of a layer; its value is a dictionary with ``kind``, ``calibration``, ``stack``, ..."""
 GIVES_WAY: Final = "gives_way"
 """Key in the provenance of layers that lie side by side under titles, and are hidden where a recording is opened."""
+
+LAYER: Final = "layer"
+"""Key in the provenance of a layer that a panel uses again: its unique id, which a copy of it does not have."""
 
 
 def provenance_of(metadata: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -23,3 +26,9 @@ def provenance_of(metadata: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """
     noted = (metadata or {}).get(PROVENANCE)
     return noted if isinstance(noted, dict) else {}
+
+
+def reused_layers(layers: Iterable[Any]) -> list[tuple[Mapping[str, Any], Any]]:
+    """Return origin and layer of those `layers` that panels made to use them again; copies of them are the user's."""
+    noted = [(provenance_of(layer.metadata), layer) for layer in layers]
+    return [(facts, layer) for facts, layer in noted if facts.get(LAYER) == layer.unique_id]

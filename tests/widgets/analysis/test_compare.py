@@ -115,6 +115,17 @@ def test_the_window_closes_while_a_comparison_begins_or_ends(make_napari_viewer,
     assert names(own) == []
 
 
+def test_a_recording_that_is_opened_meanwhile_is_displayed_at_the_end(viewer, panel, qtbot, tmp_path):
+    """Before: it lay over the compared images."""
+    press(panel, qtbot)
+    viewer.open(str(write_pair(tmp_path, name="next")), plugin=PLUGIN)
+    mine = viewer.add_points([[1.0, 1.0]], name="mine")
+    assert [layer.name for layer in viewer.layers if layer.visible] == [*OURS, "mine"]
+    press(panel, qtbot)
+    assert {layer.name for layer in viewer.layers if layer.visible} == {"scan ELS+", "next ELS+", "mine"}
+    assert mine in viewer.layers
+
+
 def test_one_slider_moves_all_and_the_numbers_follow(viewer, panel, qtbot):
     press(panel, qtbot)
     sectioner = Sectioner(calibration(), (64, 128))

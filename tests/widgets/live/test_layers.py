@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from napari.layers._layer_actions import _duplicate_layer as duplicate_layers
 
 from napari_elsplus._writer import write_image
 from napari_elsplus.acquisition.engine.live_images import display_layout
@@ -58,6 +59,22 @@ def stream(viewer):
         return tuple(layers.images["ls"].contrast_limits)
 
     return layers, show
+
+
+def test_the_layers_of_a_closed_panel_are_used_again_and_copies_are_the_users(stream, viewer):
+    """Before: the next panel added a second set of layers."""
+    layers, _ = stream
+    layers.images["ls"].colormap, layers.images["ls"].contrast_limits = "magenta", (3, 77)
+    duplicate_layers(viewer.layers)
+    before = {layer.name for layer in viewer.layers}
+    layout = display_layout((64, 128), 32)
+    again, ring = LiveLayers(viewer), Ring(bytearray(layout.nbytes), layout)
+    while not again.arrange(["ls", "raw"], ring, None, side_by_side=True):
+        pass
+    assert {layer.name for layer in viewer.layers} == before
+    assert again.images == layers.images
+    shown = again.images["ls"]
+    assert (shown.colormap.name, tuple(shown.contrast_limits)) == ("magenta", (3, 77))
 
 
 def test_what_does_not_change_is_not_set_again(stream, viewer):

@@ -291,6 +291,8 @@ class ComparePanel(AnalysisPanel):
         if self._incomplete:
             self._ending.start()  # the user removed one of them; napari may be about to remove more
             return
+        if self.comparing:
+            self.display.hide_opened()
         idle = not self.work.busy
         self.recording.refresh(newest=idle and not self.comparing)
         available = bool(self.recording.choices)

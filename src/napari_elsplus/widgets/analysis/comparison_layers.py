@@ -13,6 +13,7 @@ from napari.utils import Colormap
 from napari_elsplus._view import HiddenLayers, answer, fit_visible_layers
 from napari_elsplus.viewing.common_axes import adopt_axes, reference_axes
 from napari_elsplus.viewing.layers import GAP_PX, SMOOTH, TITLE_RISE, titles_layer
+from napari_elsplus.viewing.provenance import provenance_of
 from napari_elsplus.viewing.stack import attributes, provenance
 
 if TYPE_CHECKING:
@@ -135,6 +136,13 @@ class ComparisonLayers:
             answer()
         if self._hidden.active:
             fit_visible_layers(self._viewer)  # not ended while the window answered
+
+    def hide_opened(self) -> None:
+        """Hide images of recordings that were opened during the comparison; they are shown at its end."""
+        layers, ours = self._viewer.layers, self._layers()
+        opened = [one for one in layers if one not in ours and provenance_of(one.metadata).get("stack") is not None]
+        if any(layer.visible for layer in opened):
+            self._hidden.hide([layer for layer in layers if layer not in opened])
 
     def end(self) -> None:
         """Remove the images and the line, and restore the user's layers."""

@@ -19,8 +19,8 @@ from napari_elsplus.processing.analysis.image_quality import white_level
 from napari_elsplus.processing.analysis.saturation import largest_level
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.viewing.common_axes import plane_axes
-from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, TITLES_METADATA, titles_layer
-from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE, provenance_of
+from napari_elsplus.viewing.layers import GAP_PX, MOSAIC, SMOOTH, TITLE_RISE, titles_layer
+from napari_elsplus.viewing.provenance import GIVES_WAY, LAYER, PROVENANCE, provenance_of, reused_layers
 from napari_elsplus.widgets.shared.choosing import LIVE
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 KINDS: Final[dict[str, str]] = {RAW: "raw", **{mode.value: mode.label for mode in Mode}}
 """Titles of the images, by field of the display ring."""
+TITLES: Final = f"{LIVE} titles"
+"""Name and kind of the layer of their titles."""
 RAW_GAP: Final = 0.2
 """Rows between the images and the raw frame below them, fraction of an image's rows; chosen: its title fits in."""
 MIN_LIT: Final = 10.0
@@ -68,13 +70,14 @@ class LiveLayers:
     Parameters
     ----------
     viewer : napari.Viewer
-        The viewer.
+        The viewer. Those of a panel that was closed are used again, with the user's colormap and contrast.
     """
 
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         self._viewer = viewer
-        self._layers: dict[str, Image] = {}
-        self._titles: Points | None = None
+        left = {facts["kind"]: layer for facts, layer in reused_layers(viewer.layers)}
+        self._layers: dict[str, Image] = {kind: left[f"{LIVE} {kind}"] for kind in KINDS if f"{LIVE} {kind}" in left}
+        self._titles: Points | None = left.get(TITLES)
         self._last_sequence = -1
         self._unscaled: set[str] = set()
         self._dark: dict[str, tuple[float, float]] = {}
@@ -172,7 +175,7 @@ class LiveLayers:
             elif layer is not None:
                 for name, value in place.items():
                     _change(layer, name, value)
-                layer.metadata[PROVENANCE] = facts
+                layer.metadata[PROVENANCE] = facts | {LAYER: layer.unique_id}
         self._last_sequence = -1
         if complete or self._titles in self._viewer.layers:
             rise = {kind: TITLE_RISE * shape[0] for kind, (shape, _) in shown.items()}
@@ -247,8 +250,7 @@ class LiveLayers:
 
     def _arrange_titles(self, corners: dict[str, tuple[float, float]], place: dict[str, Any]) -> None:
         """Write each image's kind above it, at its corner (row, col) in pixels of a scale and units."""
-        words = place | TITLES_METADATA
-        data, attributes, _ = titles_layer(f"{LIVE} titles", list(corners), list(corners.values()), words)
+        data, attributes, _ = titles_layer(TITLES, list(corners), list(corners.values()), place)
         if self._titles is not None and self._titles in self._viewer.layers:
             written = self._titles.data.tolist(), self._titles.features["title"].tolist()
             if written != (data.tolist(), list(corners)):
@@ -258,6 +260,7 @@ class LiveLayers:
         elif corners:
             self._titles = Points(data, **attributes)
             self._titles.editable = False
+            self._titles.metadata[PROVENANCE] = {"kind": TITLES, GIVES_WAY: True, LAYER: self._titles.unique_id}
             active = self._viewer.layers.selection.active
             self._viewer.layers.append(self._titles)
             self._viewer.layers.selection.active = active
@@ -267,6 +270,7 @@ class LiveLayers:
         options = {"name": f"{LIVE} {KINDS[kind]}", "colormap": "gray", "contrast_limits": (0, 1), "cache": False}
         options["interpolation2d"] = "nearest" if kind == RAW else SMOOTH
         layer = Image(buffer, **options, **place)
+        layer.metadata[PROVENANCE][LAYER] = layer.unique_id
         self._layers[kind] = layer
         self._unscaled.add(kind)
         self._viewer.layers.append(layer)

@@ -8,7 +8,7 @@ from napari_elsplus._view import remove_layers
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
 from napari_elsplus.viewing.common_axes import plane_axes
 from napari_elsplus.viewing.layers import MOSAIC
-from napari_elsplus.viewing.provenance import PROVENANCE, provenance_of
+from napari_elsplus.viewing.provenance import LAYER, PROVENANCE, reused_layers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 TRACK, MARKS, COVERAGE, QUALITY, NAMES = "track", "track marks", "coverage", "quality", "titles"
 _ABOVE_IMAGES: Final = (COVERAGE, QUALITY, NAMES, TRACK, MARKS)
 """Order above the images, from bottom to top."""
-LAYER: Final = "layer"
-"""Key in the metadata of a layer of its unique id, which a copy of it does not have."""
 
 
 class OwnLayers:
@@ -46,8 +44,7 @@ class OwnLayers:
     @property
     def present(self) -> dict[str, Layer]:
         """Layers in the viewer, by kind; copies that the user has made of them are the user's."""
-        noted = ((provenance_of(layer.metadata), layer) for layer in self._viewer.layers)
-        return {facts[MOSAIC]: layer for facts, layer in noted if facts.get(LAYER) == layer.unique_id}
+        return {facts[MOSAIC]: layer for facts, layer in reused_layers(self._viewer.layers) if MOSAIC in facts}
 
     @property
     def step(self) -> float:
