@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QComboBox, QDialog, QHBoxLayout, QPushButton, QVBoxLayout
+from qtpy.QtWidgets import QComboBox, QDialog, QPushButton, QVBoxLayout
 
 from napari_elsplus._problems import notify_errors
 from napari_elsplus.io.formats.registry import PICTURE, TABLE, dialog_filter
 from napari_elsplus.widgets.shared.calibration_state import amber
 from napari_elsplus.widgets.shared.files import choose_file_to_write, choose_folder
-from napari_elsplus.widgets.shared.panel import text_label
+from napari_elsplus.widgets.shared.panel import button_row, text_label
 from napari_elsplus.widgets.shared.plots import ThemedPlot
 from napari_elsplus.workflows.calibration_report.history import CalibrationHistory, calibration_history
 
@@ -44,12 +44,10 @@ class HistoryDialog(QDialog):
         self.choose, self.save = QPushButton("Folder..."), QPushButton("Save plot...")
         self.choose.setToolTip("Choose the folder of the calibrations; those of another rig or objective are left out")
         self.save.setToolTip("Save what is plotted as a picture (.png) or a table (.csv)")
-        layout, row = QVBoxLayout(self), QHBoxLayout()
+        layout = QVBoxLayout(self)
         for widget in (self.quantity, self.plot, self.notes):
             layout.addWidget(widget)
-        for button in (self.choose, self.save):
-            row.addWidget(button)
-        layout.addLayout(row)
+        layout.addLayout(button_row(self.choose, self.save))
         self.quantity.currentIndexChanged.connect(self._draw)
         self.choose.clicked.connect(self._choose_folder)
         self.save.clicked.connect(self._save)

@@ -78,8 +78,7 @@ class CalibrationPanel(EnginePanel):
         self.work = Work(self.refresh, self._cancel)
         self.form = Form(self, self.work, viewer.theme)
         self._wire()
-        self._poll = timer(self, POLL_MS, self._update)
-        self._poll.start()
+        self._poll = timer(self, POLL_MS, self._update, starts=True)
         self.refresh()
 
     @property

@@ -81,10 +81,8 @@ class ElsPlusDock(EnginePanel):
         self.by_title[FIRST].build()
         self.show_tab(FIRST)
         self.tabs.currentChanged.connect(lambda _: self._build_current())
-        self._timer = timer(self, STATUS_MS, self.refresh)
-        self._timer.start()
-        self._idle = timer(self, 0, self._build_next)
-        self._idle.start()
+        self._timer = timer(self, STATUS_MS, self.refresh, starts=True)
+        self._idle = timer(self, 0, self._build_next, starts=True)
         self.refresh()
 
     def show_tab(self, title: str) -> None:

@@ -22,6 +22,7 @@ from napari_elsplus.widgets.shared.panel import (
     panel_layout,
     restore_boxes,
     restore_fields,
+    set_enabled,
     text_label,
 )
 from napari_elsplus.widgets.shared.requests import RequestBar
@@ -209,10 +210,10 @@ class LiveForm:
         self.start.text = "Stop" if live else "Cancel calibration" if calibrating else "Start"
         self.start.enabled = live or calibrating or not busy
         self.record.text = "Stop recording" if recording else "Record"
-        self.record.enabled = self.snapping.enabled = live
-        why = "" if live else "; start the stream first"
-        self.record.tooltip = f"Record raw frames and the calibration ({key_name('record')}){why}"
-        self.snapping.tooltip = f"Save the newest raw frame and the calibration ({key_name('snap')}){why}"
+        records = f"Record raw frames and the calibration ({key_name('record')})"
+        set_enabled(self.record, live, records, "start the stream")
+        snaps = f"Save the newest raw frame and the calibration ({key_name('snap')})"
+        set_enabled(self.snapping, live, snaps, "start the stream")
 
     def show_opening(self, *, recorded: bool, hidden: bool) -> None:
         """Show the button that opens the newest recording, or displays live images again in its place.

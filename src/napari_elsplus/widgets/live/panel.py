@@ -52,7 +52,7 @@ class LivePanel(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         import_ahead()
-        timer(self, 0, read_units, once=True).start()
+        timer(self, 0, read_units, once=True, starts=True)
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
         self._faults_shown: set[str] = set()
@@ -67,8 +67,7 @@ class LivePanel(EnginePanel):
         self.form.opening.clicked.connect(self.open_or_return)
         self.form.lag.clicked.connect(self.measure_lag)
         self.form.script.clicked.connect(self.copy_script)
-        self._timer = timer(self, TICK_MS, self.tick)
-        self._timer.start()
+        self._timer = timer(self, TICK_MS, self.tick, starts=True)
         self.refresh()
 
     @property

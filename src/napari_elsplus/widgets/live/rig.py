@@ -63,8 +63,7 @@ class RigPanel(EnginePanel):
         self._disconnecting = False
         self._shown: Settings | None = None
         self._build()
-        self._timer = timer(self, STATUS_MS, self.refresh)
-        self._timer.start()
+        self._timer = timer(self, STATUS_MS, self.refresh, starts=True)
         self.refresh()
 
     @property

@@ -14,13 +14,14 @@ from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.tracking.registry import tracking_methods
 from napari_elsplus.widgets.mosaic.sources import are_finished_images, source_names
 from napari_elsplus.widgets.mosaic.speed_bar import SpeedBar
-from napari_elsplus.widgets.shared.choosing import LayerChoice, is_uncalibrated
+from napari_elsplus.widgets.shared.choosing import SAMPLE, LayerChoice, is_uncalibrated
 from napari_elsplus.widgets.shared.panel import (
     button_row,
     form_layout,
     panel_layout,
     restore_boxes,
     restore_fields,
+    set_enabled,
     text_label,
 )
 from napari_elsplus.widgets.shared.window.keys import bind_buttons, key_name
@@ -40,7 +41,7 @@ INSERTION_LABELS: Final = {
     Insertion.FEATHERED.value: "feathered mean",
     Insertion.CORES.value: "core by core (finer)",
 }
-SAVED: Final = "; wait until it is saved"
+SAVED: Final = "wait until it is saved"
 METHOD_LABELS: Final = {"elsplus": "this software", "paper": "Thrapp 2021"}
 
 
@@ -169,20 +170,15 @@ class MosaicForm:
             else f"Insert frames of the connected rig into mosaics of the selected modes ({key_name('live mosaic')})"
         )
         self.start.text = "Stop" if busy and not saving else "Mosaic"
-        self.start.enabled = not saving and (busy or bool(self.recording.choices))
-        self.start.tooltip = (
-            f"Make mosaics of the selected stack, or stop ({key_name('mosaic')}){SAVED * saving}"
-            if self.recording.choices
-            else f"Make mosaics ({key_name('mosaic')}); first open a recording, or a sample: "
-            "File > Open Sample > ELS+ endomicroscopy"
-        )
-        why = SAVED if saving else "" if present else "; make a mosaic first"
-        self.clearing.enabled = present and not saving
-        self.clearing.tooltip = f"Remove the mosaics ({key_name('clear mosaic')}){why}"
-        self.undoing.enabled = self.saving.enabled = present and not busy
-        why = "; wait until it is finished, or stop" if busy and not saving else why
-        self.undoing.tooltip = f"Remove the last segment of the track ({key_name('undo segment')}){why}"
-        self.saving.tooltip = f"Save OME-TIFF, PNG with scale bar, and track ({key_name('save mosaic')}){why}"
+        makes = f"Make mosaics of the selected stack, or stop ({key_name('mosaic')})"
+        first = SAVED if saving else f"open a recording, or {SAMPLE}"
+        set_enabled(self.start, not saving and (busy or bool(self.recording.choices)), makes, first)
+        first = SAVED if saving else "wait until it is finished, or stop" if busy else "make a mosaic"
+        set_enabled(self.clearing, present and not saving, f"Remove the mosaics ({key_name('clear mosaic')})", first)
+        undoes = f"Remove the last segment of the track ({key_name('undo segment')})"
+        set_enabled(self.undoing, present and not busy, undoes, first)
+        saves = f"Save OME-TIFF, PNG with scale bar, and track ({key_name('save mosaic')})"
+        set_enabled(self.saving, present and not busy, saves, first)
 
     def _build_layout(self, work: QWidget) -> None:
         layout = panel_layout(self._panel)

@@ -81,8 +81,7 @@ class MosaicPanel(EnginePanel):
             },
             {"open": self._ask_for_file, "script": self.copy_script},
         )
-        self._timer = timer(self, TICK_MS, self.tick)
-        self._timer.start()
+        self._timer = timer(self, TICK_MS, self.tick, starts=True)
         self.form.recording.changed.connect(self.refresh)
         layers = viewer.layers.events
         for signal in (layers.inserted, layers.removed, layers.renamed):

@@ -206,8 +206,10 @@ def text_label(text: str = "") -> QLabel:
     return label
 
 
-def timer(parent: QObject, interval_ms: int, slot: Callable[[], Any], *, once: bool = False) -> QTimer:
-    """Return a timer that was not started.
+def timer(
+    parent: QObject, interval_ms: int, slot: Callable[[], Any], *, once: bool = False, starts: bool = False
+) -> QTimer:
+    """Return a timer.
 
     Parameters
     ----------
@@ -219,11 +221,15 @@ def timer(parent: QObject, interval_ms: int, slot: Callable[[], Any], *, once: b
         Called at each interval.
     once : bool
         Stop after the first interval.
+    starts : bool
+        It runs from now on.
     """
     new = QTimer(parent)
     new.setInterval(interval_ms)
     new.setSingleShot(once)
     new.timeout.connect(slot)
+    if starts:
+        new.start()
     return new
 
 
