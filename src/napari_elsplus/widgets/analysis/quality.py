@@ -247,7 +247,7 @@ class QualityPanel(AnalysisPanel):
         if self._boxes is not None and self._boxes not in self.viewer.layers:
             self._boxes, self.resolution = None, None
             self.show_numbers()
-        self.recording.refresh(newest=not self.work.busy)
+        self.recording.refresh(newest=not self.work.busy and self._boxes is None and self.edge is None)
         if self.recording.value is None:
             self.alignment = None
         self._recording_changed()
