@@ -141,7 +141,7 @@ def mosaic(
     threads : int
         2 to register a frame while the next is sectioned, 1 where the cores are shared; the result is the same.
     progress : Progress
-        Wraps the frames' numbers, once for tracking and once for insertion.
+        Wraps the frames' numbers: for tracking, for tracking once more where that is needed, and for insertion.
 
     Returns
     -------
@@ -159,8 +159,8 @@ def mosaic(
     if flat is not None and not (finished and Insertion(insertion) is Insertion.CORES):
         raise InputError("a flat field was given", "it is for finished images and the insertion by cores only")
     stack = _stack(raw, calibration, mode, method, insertion, times_s, frame_numbers, finished=finished, flat=flat)
-    stack.track(lambda numbers: progress(numbers, "Tracking"), grow=False, threads=threads)
-    stack.finish(lambda numbers: progress(numbers, "Mosaic"))
+    stack.track(progress, grow=False, threads=threads)
+    stack.finish(progress)
     plan = stack.plan
     canvases = list(stack.canvases[plan.tracked].values())
     largest = max(canvases, key=_area_px, default=None)
@@ -203,10 +203,10 @@ def track(
         micrometres, relative to the first frame of its segment, with its standard deviation and state.
     """
     stack = _stack(raw, calibration, mode, method, Insertion.DEAD_LEAF, times_s, frame_numbers, finished=finished)
-    stack.track(lambda numbers: progress(numbers, "Tracking"), grow=False, threads=2)
+    stack.track(progress, grow=False, threads=2)
     for note in stack.notes:
         warnings.warn(note, stacklevel=2)
-    stack.refine()
+    stack.refine(progress)
     return stack.lead.rows
 
 

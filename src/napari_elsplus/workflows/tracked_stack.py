@@ -12,12 +12,13 @@ from napari_elsplus.io.frame_times import median_period_s
 from napari_elsplus.processing.calibration.core_agreement import agreement_note
 from napari_elsplus.processing.images.modes import elsa_pair
 from napari_elsplus.processing.images.sectioning import Frames, Mode
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.methods import RegistrationTracking
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.registry import tracking_method
 from napari_elsplus.workflows.core_mosaicing.pipeline import new_finished_pipeline, new_pipeline
 from napari_elsplus.workflows.sectioning import RawPairs
-from napari_elsplus.workflows.tracking import UNLINKED
+from napari_elsplus.workflows.tracking import INSERTION, UNLINKED
 from napari_elsplus.workflows.two_threads import tracking_images
 
 if TYPE_CHECKING:
@@ -28,10 +29,11 @@ if TYPE_CHECKING:
 
     from napari_elsplus.instrument.calibration import Calibration
     from napari_elsplus.processing.mosaicing.tiles import Canvas
-    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.workflows.mosaic_plan import MosaicPlan
     from napari_elsplus.workflows.tracking import Pipeline
 
+TRACKING: Final = "Tracking"
+"""Name of the step in which all frames are tracked."""
 MAX_PERIOD_DIFFERENCE: Final = 0.03
 """Tolerated difference of frame periods, fraction. Chosen: the correction of motion within a frame has this relative
 error, 0.3 px where the probe moves 10."""
@@ -114,23 +116,24 @@ class TrackedStack:
         makers = {self.plan.tracked: self.lead, **self._followers}
         return {mode: dict(makers[mode].mosaics) for mode in self.plan.modes}
 
-    def run(self, progress: ProgressWrapper = iter) -> None:
+    def run(self, progress: Progress = without_display) -> None:
         """Track and insert all frames, then close loops, join segments, and re-render the mosaics.
 
         Parameters
         ----------
-        progress : callable
-            Wraps an iterable of steps; an exception raised in it ends the run, and the mosaics so far remain.
+        progress : Progress
+            Wraps the numbers of the frames in each step: tracking, again where that is needed, and insertion. An
+            exception raised in it ends the run, and the mosaics so far remain.
         """
         self.track(progress)
         self.finish(progress)
 
-    def track(self, progress: ProgressWrapper = iter, *, grow: bool = True, threads: Literal[1, 2] = 1) -> None:
+    def track(self, progress: Progress = without_display, *, grow: bool = True, threads: Literal[1, 2] = 1) -> None:
         """Track all frames.
 
         Parameters
         ----------
-        progress : callable
+        progress : Progress
             As of :meth:`run`.
         grow : bool
             Insert each frame at once, so that the mosaics can be displayed meanwhile, and note it in :attr:`rows`.
@@ -144,7 +147,7 @@ class TrackedStack:
                 self._set_out()
         lead, pairs, indices = self.lead, self._pairs, range(len(self._pairs))
         if grow:
-            for index in progress(indices):
+            for index in progress(indices, TRACKING):
                 raw, raw_residual = pairs(index)
                 lead.tracking.skip(pairs.lost_before(index))
                 lead.add(raw, pairs.frame(index), self._time_s(index), raw_residual)
@@ -152,7 +155,7 @@ class TrackedStack:
                 self._follow(index)
             return
         with tracking_images(lead, map(pairs, indices), len(pairs), threads=threads) as images:
-            for index, image in zip(progress(indices), images, strict=True):
+            for index, image in zip(progress(indices, TRACKING), images, strict=True):
                 lead.tracking.skip(pairs.lost_before(index))
                 lead.note(lead.tracking.estimate_pose(image), pairs.frame(index), self._time_s(index))
 
@@ -160,7 +163,7 @@ class TrackedStack:
         """Return the time of an image in seconds; NaN where times are unknown."""
         return nan if self._times_s is None else float(self._times_s[self._pairs.frame(index)])
 
-    def finish(self, progress: ProgressWrapper = iter) -> None:
+    def finish(self, progress: Progress = without_display) -> None:
         """Close loops, join segments, and render the mosaics; parameters as of :meth:`run`."""
         self._shown = self.canvases  # displayed until the re-rendered ones are complete
         self.lead.finish(self._pairs, progress)
@@ -169,7 +172,7 @@ class TrackedStack:
             follower.line_light, follower.deformation = self.lead.line_light, self.lead.deformation
             follower.fading = self.lead.fading
         if self._followers:
-            for index in progress(range(len(self._pairs))):
+            for index in progress(range(len(self._pairs)), INSERTION):
                 self._follow(index)
         for follower in self._followers.values():
             follower.complete()
@@ -177,9 +180,9 @@ class TrackedStack:
         self.revision, self.complete = self.revision + 1, True
         self.notes += self._notes_on_track()
 
-    def refine(self) -> None:
-        """Close loops and join segments; mosaics are left as they are."""
-        self.lead.refine(self._pairs)
+    def refine(self, progress: Progress = without_display) -> None:
+        """Close loops and join segments; mosaics are left as they are. Parameters as of :meth:`run`."""
+        self.lead.refine(self._pairs, progress)
 
     def _set_out(self) -> None:
         self.lead = self._pipeline(self.plan.tracked)

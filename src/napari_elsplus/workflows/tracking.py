@@ -17,6 +17,7 @@ from napari_elsplus.processing.mosaicing.deformation import Deformation, estimat
 from napari_elsplus.processing.mosaicing.exposure import estimate_fading
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
-    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 UNLINKED: Final = "no two frames fit together: was the probe on tissue, and slow enough to overlap?"
 """Note for the user where fewer than two frames are tracked."""
+INSERTION: Final = "Mosaic"
+"""Name of the step in which frames are inserted once all are tracked."""
 _RIM_PX: Final = 4
 """Margin by which the nominal disc is smaller than the image, pixels; chosen, for the interpolation at its rim."""
 
@@ -238,7 +240,7 @@ class Pipeline:
         del self.rows[:-1], self.poses[:-1]
         self.tracking.discard_registrations()
 
-    def refine(self, raw_pair: RawPair) -> None:
+    def refine(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Close loops, join segments and solve the pose graph; mosaics are left as they are.
 
         Parameters
@@ -246,23 +248,26 @@ class Pipeline:
         raw_pair : callable
             Returns, by the index in the order in which frames were added, a raw frame and the frame of which the
             residual view is used.
+        progress : Progress
+            Wraps the frames' numbers where all are tracked once more; an exception raised in it ends that.
         """
-        self.poses = self.tracking.refine(self.poses, lambda index: self.tracking.image(*raw_pair(index)))
+        tracking = self.tracking
+        self.poses = tracking.refine(self.poses, lambda index: tracking.image(*raw_pair(index)), progress=progress)
         self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
 
-    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
+    def finish(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Refine all positions, and insert all frames into fresh mosaics, without uneven light, fading and deformation.
 
-        Parameters are `raw_pair`, as in :meth:`refine`, and `progress`, which wraps the indices of the frames.
+        Parameters are `raw_pair` and `progress`, as in :meth:`refine`; the latter wraps the frames' indices here, too.
         """
-        self._draw(self.settle(raw_pair), progress)
+        self._draw(self.settle(raw_pair, progress), progress)
 
-    def settle(self, raw_pair: RawPair) -> Callable[[int], NDArray[np.float32]]:
+    def settle(self, raw_pair: RawPair, progress: Progress = without_display) -> Callable[[int], NDArray[np.float32]]:
         """Refine all positions (:meth:`refine`); estimate the laser line's light, fading, and the tissue's deformation.
 
         Parameters
         ----------
-        raw_pair : callable
+        raw_pair, progress
             As in :meth:`refine`.
 
         Returns
@@ -270,7 +275,7 @@ class Pipeline:
         callable
             Returns the image of a frame (side, side), freed of all three, by its index.
         """
-        self.refine(raw_pair)
+        self.refine(raw_pair, progress)
         self.deformation = None
         self._estimate_light(raw_pair)
         self.fading = None
@@ -283,14 +288,14 @@ class Pipeline:
             self.deformation = estimate_deformation(image, self.poses, self.grid)
         return image
 
-    def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: ProgressWrapper = iter) -> None:
+    def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: Progress = without_display) -> None:
         """Insert all tracked frames into fresh mosaics."""
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         last = {self.poses[k].segment: k for k in tracked}.values()
         self.mosaics = {}
         covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF
         clarity = Clarity(self.blank_mosaic().grid) if covers else None
-        for index in progress(tracked):
+        for index in progress(tracked, INSERTION):
             self.insert(partial(image, index), self._placed(self.poses[index]), always=index in last, clarity=clarity)
 
     def _placed(self, pose: Pose) -> Pose:

@@ -20,6 +20,8 @@ from napari_elsplus.processing.tracking.registration.pair_registration import Re
 from napari_elsplus.processing.tracking.standing_pattern import without_standing_pattern
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.processing.tracking.motion.pose import Pose
@@ -102,6 +104,27 @@ def test_a_bright_ring_that_stands_still_does_not_hold_the_track(seed: int) -> N
     errors = step_errors(refined(tracking, images), positions)
     assert len(errors) > 0.9 * (FRAMES - 1)
     assert errors.max() < 1
+
+
+def test_a_second_pass_reports_its_progress_and_can_be_ended() -> None:
+    grid, positions = replace(raw_tracking().grid, shutter=RollingShutter(np.inf)), circling(8.0)
+    images = ring(grid, seen(grid, positions, 1))
+    field = FinishedField.of(list(images))
+    raw, finished = raw_tracking(), FinishedTracking(field)
+    for tracking, windows in ((raw, images), (finished, np.array([field.window(image) for image in images]))):
+        poses, steps = [tracking.estimate_pose(image) for image in windows], list[tuple[str, int]]()
+
+        def progress(numbers: Iterable[int], step: str, /, steps: list[tuple[str, int]] = steps) -> Iterable[int]:
+            steps.append((step, len(list(numbers))))
+            return numbers
+
+        def ended(numbers: Iterable[int], step: str, /) -> Iterable[int]:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            tracking.refine(poses, windows.__getitem__, progress=ended)
+        tracking.refine(poses, windows.__getitem__, progress=progress)
+        assert steps == [("Tracking again, without what stands still", FRAMES)]
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -92,8 +92,8 @@ def test_three_mosaics_grow_side_by_side_with_their_track(viewer, panel, qtbot, 
         box.value = True
     progress, displayed = panel.work.progress, Event()
 
-    def until_displayed(steps):
-        for number, step in enumerate(progress(steps)):
+    def until_displayed(steps, name):
+        for number, step in enumerate(progress(steps, name)):
             if number == FRAMES // 2:
                 assert displayed.wait(100)
             yield step
@@ -217,8 +217,8 @@ def test_stopping_keeps_what_was_laid_and_states_what_is_missing(viewer, panel, 
     """Before: 12 of 12 frames were tracked, though the recording has more."""
     reached, stopped = Event(), Event()
 
-    def progress(items):
-        for index, item in enumerate(Work.progress(panel.work, items)):
+    def progress(items, name):
+        for index, item in enumerate(Work.progress(panel.work, items, name)):
             if index == FRAMES // 2:
                 reached.set()
                 stopped.wait(60)

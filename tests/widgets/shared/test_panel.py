@@ -72,6 +72,27 @@ def test_the_bar_displays_the_time_that_is_left(qtbot):
     qtbot.waitUntil(lambda: not work.busy, timeout=60_000)
 
 
+def test_each_step_of_a_computation_is_named_above_its_own_bar(qtbot):
+    work, ended = Work(lambda: None), Event()
+    qtbot.addWidget(work)
+
+    def compute():
+        for name in ("Tracking", "Tracking again"):
+            for step in work.progress(range(20), name):
+                if (name, step) == ("Tracking again", 10):
+                    ended.wait(100)
+
+    work.begin(0, compute, lambda result: None)
+    try:
+        bar = work.findChild(QProgressBar)
+        qtbot.waitUntil(lambda: (bar.value(), bar.maximum()) == (10, 20), timeout=60_000)
+        assert work._step.text() == "Tracking again"
+        assert not work._step.isHidden()
+    finally:
+        ended.set()
+    qtbot.waitUntil(lambda: not work.busy, timeout=60_000)
+
+
 def test_the_status_line_names_the_kernel_that_the_engine_compiles():
     assert "compiling align" in rig_line("simulated", Status(compiling="align"))
     assert "compiling" not in rig_line("simulated", Status())

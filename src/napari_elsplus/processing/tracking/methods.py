@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
@@ -23,7 +24,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
-from napari_elsplus.processing.tracking.standing_pattern import tracked_without_pattern
+from napari_elsplus.processing.tracking.standing_pattern import WITHOUT_PATTERN, tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -43,6 +44,10 @@ _MAX_TESTED: Final = 600
 """Registrations of a finished track that are tested for rotation; chosen: some 0.2 s."""
 _LOOSE: Final = 0.01
 """Standard deviation of stretch and shear in this test; chosen, above what velocities leave open."""
+
+_WITH_ROTATION: Final = "Tracking again, with rotation"
+_WITHOUT_ROTATION: Final = "Tracking again, without rotation"
+"""Names of the steps in which a finished recording is tracked once more."""
 
 
 class TrackingMethod(Protocol):
@@ -113,9 +118,21 @@ class TrackingMethod(Protocol):
         image = self.image(raw, raw_residual)
         return self.estimate_pose(image), image
 
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
-        """Return the poses refined over the whole sequence; `image` returns a frame's image by its index."""
-        del image
+    def refine(
+        self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]], *, progress: Progress = without_display
+    ) -> list[Pose]:
+        """Return the poses refined over the whole sequence.
+
+        Parameters
+        ----------
+        poses : list of Pose
+            As estimated, one for every frame.
+        image : callable
+            Returns a frame's image by its index.
+        progress : Progress
+            Wraps the frames' numbers where all are tracked once more; an exception raised in it ends that.
+        """
+        del image, progress
         return poses
 
     def discard_registrations(self) -> None:
@@ -216,7 +233,9 @@ class RegistrationTracking(FrontEndImages):
         """The motion model that the score tests have selected so far."""
         return self._tracker.model
 
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+    def refine(
+        self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]], *, progress: Progress = without_display
+    ) -> list[Pose]:
         """Return the poses of the solved pose graph: loops closed, segments joined; see :class:`TrackingMethod`.
 
         Unchanged where shifts alone are registered, without odds by which a graph could weigh them.
@@ -226,28 +245,30 @@ class RegistrationTracking(FrontEndImages):
             return poses
 
         def again(
-            registrar: Registrar, turn_rate: float | None, image: Callable[[int], NDArray[np.float32]]
+            step: str, registrar: Registrar, image: Callable[[int], NDArray[np.float32]], turn_rate: float | None = None
         ) -> tuple[list[Pose], Tracker]:
             """Track all frames once more."""
             once_more = Tracker(registrar, turn_rate)
             tracked = []
-            for index in range(len(poses)):
+            for index in progress(range(len(poses)), step):
                 once_more.skip(lost.get(index, 0))
                 once_more.slot()[:] = image(index)
                 tracked.append(once_more.add())
             return tracked, once_more
 
-        poses, tracker, image = tracked_without_pattern(poses, tracker, image, partial(again, registrar, None))
+        poses, tracker, image = tracked_without_pattern(
+            poses, tracker, image, partial(again, WITHOUT_PATTERN, registrar)
+        )
         frame, model = prepared_frames(registrar, image, _MAX_PREPARED_FRAMES), tracker.model
         if model is MotionModel.TRANSLATION:
             model = reviewed_model(tracker.links, registrar, frame)
         if model is not MotionModel.TRANSLATION:  # its angle is known from the first frame on then
             rates = (link.registration.turn / link.periods for link in tracker.links if link.registration.turn)
-            turned, links = completed(*again(registrar, next(rates, 0.0), image), image)
+            turned, links = completed(*again(_WITH_ROTATION, registrar, image, next(rates, 0.0)), image)
             if probe_turns(turned, links, registrar.grid.shutter, lost):
                 return refine(turned, links, PoseGraph(NodeRegistration(registrar), frame), model, lost)
         if tracker.model is not MotionModel.TRANSLATION:
-            poses, tracker = again(_WithoutRotation(registrar.grid), None, image)
+            poses, tracker = again(_WITHOUT_ROTATION, _WithoutRotation(registrar.grid), image)
         poses, links = completed(poses, tracker, image)
         return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), lost=lost)
 

@@ -34,6 +34,8 @@ without it; chosen: dust over a twentieth of rich tissue makes 0.04, of which re
 FEWER_LINKS: Final = 0.5
 """Part of what tracking leaves unexplained that may be left without the pattern if fewer frames are linked; chosen:
 around rings as bright as three times the tissue it is 0.16 to 0.29, where the probe hardly moves 0.57 and more."""
+WITHOUT_PATTERN: Final = "Tracking again, without what stands still"
+"""Name of the step in which a recording is tracked so."""
 
 
 def evenly_spread(count: int) -> list[int]:

@@ -129,7 +129,7 @@ class MosaicPanel(EnginePanel):
                 mosaics.run(self.work.progress)
                 return mosaics
 
-            self.work.begin(source.steps(plan), made, self._made)
+            self.work.begin(0, made, self._made)
 
     @property
     def live(self) -> bool:

@@ -61,11 +61,6 @@ class MosaicSource:
         """Return the wanted plan, restricted to one mode for finished images."""
         return replace(wanted, modes=(Mode.LS,)) if self.finished else wanted
 
-    def steps(self, plan: MosaicPlan) -> int:
-        """Return the number of steps of a progress bar for a plan."""
-        pairs = len(self.frames) // plan.tracked.frames_per_image
-        return (3 if len(plan.modes) > 1 else 2) * pairs
-
 
 def source_names(viewer: napari.viewer.Viewer) -> list[str]:
     """Return the names of a viewer's layers that mosaics can be made of, raw recordings first."""

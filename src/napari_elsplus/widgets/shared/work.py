@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from operator import length_hint
 from threading import Event
 from time import perf_counter
@@ -122,8 +123,17 @@ class Work(QWidget):
         self._poll.start()
         self._worker.start()
 
-    def progress(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Iterate over items in the thread: count them for the bar, and raise `Cancelled` after Cancel."""
+    def progress(self, items: Iterable[Item], step: str = "") -> Iterator[Item]:
+        """Iterate over items in the thread: count them for the bar, and raise `Cancelled` after Cancel.
+
+        Parameters
+        ----------
+        items : iterable
+            What the thread goes through.
+        step : str
+            Name of the step, displayed above the bar.
+        """
+        self._name = step
         if self._counts:
             self._done, self._total, self._since = 0, length_hint(items), perf_counter()
         for item in items:
@@ -152,7 +162,7 @@ class Work(QWidget):
         done, total : int
             Steps done, and of how many.
         """
-        self._done, self._total, self._name = done, total, text
+        self._done, self._total, self._name, self._since = done, total, text, inf
 
     def cancel(self) -> None:
         """Stop at the next step."""
@@ -165,7 +175,7 @@ class Work(QWidget):
         self._bar.setRange(0, self._total)
         self._bar.setValue(self._done)
         left_s = (perf_counter() - self._since) * (self._total / self._done - 1) if self._done else 0.0
-        self._bar.setFormat("%p %" if self._name or left_s < 1 else f"%p %, {duration_text(left_s)} left")
+        self._bar.setFormat(f"%p %, {duration_text(left_s)} left" if left_s >= 1 else "%p %")
 
     def _take(self, outcome: tuple[Any, Exception | None]) -> None:
         result, error = outcome

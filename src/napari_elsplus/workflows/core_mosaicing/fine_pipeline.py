@@ -15,6 +15,7 @@ import numpy as np
 
 from napari_elsplus.processing.images.sectioning import Mode
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.registry import Method
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from napari_elsplus.processing.mosaicing.deformation import Deformation
     from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TileStore
-    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.workflows.tracking import RawPair
 
@@ -84,11 +84,11 @@ class FinePipeline(Pipeline):
         """Return an empty mosaic with this pipeline's insertion, on the grid of its images, in a tile store."""
         return Mosaic(self._drawn, self._insertion, weights=self._drawn_weights, store=store)
 
-    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
+    def finish(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Do what :meth:`Pipeline.finish` does with the images that are tracked, and insert the finer ones."""
         tracked = self._new_tracked()
         tracked.poses, tracked.rows = self.poses, self.rows
-        tracked.settle(raw_pair)
+        tracked.settle(raw_pair, progress)
         self.poses, self.rows = tracked.poses, tracked.rows
         self.line_light, self.fading = tracked.line_light, tracked.fading
         self.deformation = tracked.deformation

@@ -21,6 +21,7 @@ from napari_elsplus.processing.mosaicing.cores.reconstruction import (
 from napari_elsplus.processing.mosaicing.cores.refinement import CoreGains, Placement, refine_placement
 from napari_elsplus.processing.mosaicing.mosaic import Insertion
 from napari_elsplus.processing.mosaicing.tiles import Rectangle
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
@@ -29,7 +30,7 @@ from napari_elsplus.processing.tracking.registration.motion_models import turned
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.core_mosaicing.fine_pipeline import FinePipeline
 from napari_elsplus.workflows.core_mosaicing.views import CoreView, FinishedBundle, view_of_raw_frames
-from napari_elsplus.workflows.tracking import Pipeline
+from napari_elsplus.workflows.tracking import INSERTION, Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.progress import ProgressWrapper
     from napari_elsplus.processing.tracking.methods import TrackingMethod
     from napari_elsplus.workflows.tracking import RawPair
 
@@ -122,7 +122,7 @@ class CorePipeline(Pipeline):
         values = self._read(raw, raw if raw_residual is None else raw_residual)
         self._insert_cores(pose, self._freed(values))
 
-    def finish(self, raw_pair: RawPair, progress: ProgressWrapper = iter) -> None:
+    def finish(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Refine all positions, insert all frames at them and reconstruct the mosaics: :meth:`Pipeline.finish`.
 
         Raises
@@ -130,13 +130,13 @@ class CorePipeline(Pipeline):
         InputError
             If too few frames are tracked, or they did not move.
         """
-        self.refine(raw_pair)
+        self.refine(raw_pair, progress)
         tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
         self._require_motion([self.poses[k] for k in tracked])
         self._estimate_light(raw_pair)
         kept = _KEPT_BYTES // (4 * len(self._view.cores)) if self._max_refinements else 0
         read = lru_cache(maxsize=kept)(lambda index: self._read(*raw_pair(index)))
-        self._insert_all(read, progress(tracked))
+        self._insert_all(read, progress(tracked, INSERTION))
         if self._max_refinements:
             self.complete()
         for left in reversed(range(self._max_refinements)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,9 @@ from napari_elsplus.processing.tracking.motion.rolling_shutter import Displaceme
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
 from napari_elsplus.processing.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 SIDE, FRAMES = 128, 60
 SHUTTER = RollingShutter(300.0)
@@ -82,7 +87,14 @@ def test_tissue_that_waves_shear_is_not_taken_for_a_turning_probe() -> None:
         images.append((seen + random.normal(0, 3, seen.shape)).astype(np.float32) * (np.hypot(y, x) < 62))
         method._tracker.slot()[:] = images[-1]
         poses.append(method._tracker.add())
-    refined = method.refine(poses, lambda index: images[index])
+    passes: dict[str, int] = {}
+
+    def progress(numbers: Iterable[int], step: str, /) -> Iterable[int]:
+        passes[step] = len(list(numbers))
+        return numbers
+
+    refined = method.refine(poses, lambda index: images[index], progress=progress)
+    assert passes == {"Tracking again, with rotation": FRAMES, "Tracking again, without rotation": FRAMES}
     assert all(pose.state is TrackingState.TRACKED for pose in refined)
     assert max(abs(pose.angle) for pose in refined) == 0
     moved = np.diff([pose.at for pose in refined])

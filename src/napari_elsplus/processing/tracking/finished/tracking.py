@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
+from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.finished.registration import FinishedNodeRegistration, FinishedRegistrar
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, lit_pixels
 from napari_elsplus.processing.tracking.methods import TrackingMethod, prepared_frames
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.refinement import located, refine
-from napari_elsplus.processing.tracking.standing_pattern import tracked_without_pattern
+from napari_elsplus.processing.tracking.standing_pattern import WITHOUT_PATTERN, tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -80,7 +81,9 @@ class FinishedTracking(TrackingMethod):
             poses[-1] = poses[-1]._replace(segment=pose.segment, state=TrackingState.TRACKED)
         poses.append(pose if pose.state is TrackingState.TRACKED else pose.lost)
 
-    def refine(self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]]) -> list[Pose]:
+    def refine(
+        self, poses: list[Pose], image: Callable[[int], NDArray[np.float32]], *, progress: Progress = without_display
+    ) -> list[Pose]:
         """See :meth:`~.methods.TrackingMethod.refine`."""
         frames = np.unique(self._image_of_frame, return_index=True)[1].tolist()
         registrar = self._registrar
@@ -92,7 +95,7 @@ class FinishedTracking(TrackingMethod):
         def again(images: Callable[[int], NDArray[np.float32]]) -> tuple[list[Pose], Tracker]:
             """Track other images of these frames."""
             tracker, found = Tracker(registrar), list[Pose]()
-            for index in range(len(frames)):
+            for index in progress(range(len(frames)), WITHOUT_PATTERN):
                 self._add(tracker, found, images(index))
             return found, tracker
 
