@@ -13,7 +13,7 @@ from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import TrackPoint
 from napari_elsplus.processing.images.sectioning import Frames, Mode
 from napari_elsplus.processing.mosaicing.clarity import Clarity
-from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
+from napari_elsplus.processing.mosaicing.deformation.estimation import estimate_deformation
 from napari_elsplus.processing.mosaicing.exposure import estimate_fading
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from napari_elsplus.processing.mosaicing.deformation.fields import Deformation
     from napari_elsplus.processing.mosaicing.tiles import TiledCanvas, TileStore
     from napari_elsplus.processing.tracking.front_end.grid import Grid
     from napari_elsplus.processing.tracking.methods import TrackingMethod

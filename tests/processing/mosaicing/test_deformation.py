@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from napari_elsplus.processing.mosaicing.deformation import Deformation, estimate_deformation
+from napari_elsplus.processing.mosaicing.deformation.estimation import estimate_deformation
+from napari_elsplus.processing.mosaicing.deformation.fields import Deformation, legendre_terms
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
@@ -107,3 +108,40 @@ def test_a_picture_that_is_always_the_same_is_left_as_it_is() -> None:
 def test_an_image_without_a_field_is_left_as_it_is() -> None:
     image = np.ones((SIDE, SIDE), np.float32)
     assert Deformation(GRID).undone(0, image) is image
+
+
+def test_tissue_has_the_shape_about_which_it_moves() -> None:
+    """Fields that are as small as can be left a static one to chance: what the tissue was strained by in passing."""
+    random, frames = np.random.default_rng(4), 160
+    radius = 0.45 * GRID.diameter
+    y, x = np.meshgrid(*2 * [np.linspace(-0.9, 0.9, 9)], indexing="ij")
+    points = np.stack([y, x])[:, np.hypot(y, x) < 1]
+    to_terms, wave = np.linalg.pinv(legendre_terms(points)), 2 * np.pi / 260
+    at = 150 * np.array([np.sin(np.arange(frames) / 11), np.cos(np.arange(frames) / 7)]).T
+    deformation, motion = Deformation(GRID), []
+    for k, place in enumerate(at):
+        tissue = radius * points + place[:, None]
+        motion.append(2 * np.sin(wave * tissue + random.uniform(-0.1, 0.1)) * np.cos(k / 6) @ to_terms)
+        static = 2 * np.cos(wave * tissue[::-1]) @ to_terms
+        deformation._fields[k] = motion[-1] + static + np.outer(random.normal(0, 1, 2), np.arange(10) == 0)
+    poses = [Pose(0, row, col, VELOCITY, 1.0, 0.01, TrackingState.TRACKED) for row, col in at]
+
+    def missed() -> float:
+        """Return how far the fields are from the tissue's motion, shifts apart (root mean square, pixels)."""
+        left = [(deformation._fields[k] - motion[k])[:, 1:] for k in range(frames)]
+        return float(np.sqrt(np.square(left).sum(axis=(1, 2)).mean()))
+
+    before = missed()
+    deformation.settle(poses)
+    assert missed() < 0.4 * before
+
+
+def test_the_shapes_of_two_segments_have_nothing_in_common() -> None:
+    deformation = Deformation(GRID)
+    stretched = np.zeros((2, 10))
+    stretched[0, 4] = 1.0
+    poses = [Pose(k // 20, 20.0 * (k % 20), 0.0, VELOCITY, 1.0, 0.01, TrackingState.TRACKED) for k in range(40)]
+    deformation._fields = {k: stretched * (k >= 20) for k in range(40)}
+    deformation.settle(poses)
+    assert all(not deformation._fields[k].any() for k in range(20))
+    assert all(abs(deformation._fields[k][0, 4]) < 0.3 for k in range(20, 40))

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from napari_elsplus.processing.compiled import kernel
-from napari_elsplus.processing.mosaicing.deformation import MAX_HELD, revisits
+from napari_elsplus.processing.mosaicing.deformation.estimation import MAX_HELD, revisits
 from napari_elsplus.processing.mosaicing.footprint import rows_on_tile
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState

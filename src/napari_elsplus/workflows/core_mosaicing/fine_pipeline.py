@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.instrument.calibration import Calibration
-    from napari_elsplus.processing.mosaicing.deformation import Deformation
+    from napari_elsplus.processing.mosaicing.deformation.fields import Deformation
     from napari_elsplus.processing.mosaicing.line_light import LineLight
     from napari_elsplus.processing.mosaicing.tiles import TileStore
     from napari_elsplus.processing.tracking.motion.pose import Pose

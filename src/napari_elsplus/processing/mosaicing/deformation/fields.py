@@ -3,21 +3,18 @@
 A probe drags soft tissue along, which then has another shape in each frame. A frame's field, a polynomial of third
 degree in rows and columns, maps it onto tissue at rest. Of two frames the images show how their fields differ. Like the
 positions of a pose graph, the fields of all frames are solved for at once, by Gauss-Newton steps over pairs of frames:
-those that follow one another, and those that show a place again. Beforehand a field is zero but for chance, so that the
-tissue has its mean shape over time. Shifts are freer than shapes: where tissue is stretched, the same displacement of
-the probe covers less of it. The Bayesian information criterion decides whether fields are modelled at all, by a few
-pairs together: rigid scenes are left as they are.
+those that follow one another, and those that show a place again. Beforehand a field is zero but for chance. Shifts are
+freer than shapes: where tissue is stretched, the same displacement of the probe covers less of it. What then is alike
+in all frames is taken for the shape of the tissue (:mod:`~.rest_shape`).
 
 References
 ----------
-Szeliski and Coughlan, Int. J. Comput. Vis. 22, 199 (1997), doi:10.1023/A:1007996332012; Schwarz, Ann. Stat. 6, 461
-(1978), doi:10.1214/aos/1176344136.
+Szeliski and Coughlan, Int. J. Comput. Vis. 22, 199 (1997), doi:10.1023/A:1007996332012.
 """
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
-from itertools import pairwise
+from functools import cached_property
 from math import ceil, log
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,9 +24,8 @@ from numpy.polynomial import legendre
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
+from napari_elsplus.processing.mosaicing.deformation.rest_shape import LENGTH_DIAMETERS, static_part
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.pose_graph.graph import AWAY, REACH
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registration.odds import CORRELATED_PX
 
@@ -37,6 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from napari_elsplus.processing.tracking.motion.pose import Pose
 
     Floats = NDArray[np.float64]
 
@@ -47,15 +45,6 @@ SHIFT_SIGMA_PX: Final = 10.0
 """Prior standard deviations of the coefficients, and of those of degree 0, pixels of the grid; chosen on six recordings
 under strains of 3 %, whose mosaics correlate with the tissue at rest by 0.97 in the mean, as with half or twice the
 former and with 3 or 30 for the latter; by 0.96 with 1."""
-MAX_TESTED: Final = 9
-"""Pairs that decide whether fields are modelled, spread over the track; chosen."""
-ROUNDS: Final = (False, True, True)
-"""Whether each step compares frames that show a place again, too; chosen: these lie within the texture's size of where
-they are expected once the fields along the track are known. One step more of either kind adds at most 0.002."""
-TESTED_DIAMETERS: Final = 0.25
-"""Distance of the frames that are tested, in diameters; chosen: tissue has deformed by then, and most is in common."""
-_EVERY: Final = 2
-"""Every how many frames a place that is shown again is sought; chosen."""
 _MIN_SHARED: Final = 0.2
 _MIN_CORRELATION: Final = 0.3
 """Part of the field that two frames have in common, and their correlation, from which they are compared; chosen."""
@@ -73,8 +62,10 @@ _MARGIN: Final = 0.96
 """Part of the field that is compared, within which slopes exist."""
 _TOLERANCE: Final = 1e-3
 """Relative residual of the equations of a step; chosen: the next step starts from what is left."""
-MAX_HELD: Final = 64
-"""Images that are held; chosen, others are made again."""
+_POINTS_ACROSS: Final = 5
+"""Points across a frame at which its field is compared with those of others: 13 in all; derived: its terms are ten."""
+_MAX_FRAMES: Final = 100
+"""Frames of a segment that are compared, evenly chosen; chosen: their covariance is some 15 MB."""
 
 _AROUND: Final = np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])[:, :, None]
 """A pixel, and those below, above, to the right and to the left of it, (2, 5, 1)."""
@@ -216,6 +207,31 @@ class Deformation:
         for frame, step in zip(frames, steps.reshape(len(frames), *self._prior.shape), strict=True):
             self._fields[frame] = self._field(frame) + step
 
+    def settle(self, poses: Sequence[Pose]) -> None:
+        """Take out of the fields of each segment what is the same at all times: it is the shape of its mosaic.
+
+        Parameters
+        ----------
+        poses : sequence of Pose
+            Of all frames.
+        """
+        across = np.linspace(-0.9, 0.9, _POINTS_ACROSS) * self._radius
+        points = np.stack(np.meshgrid(across, across, indexing="ij"))
+        points = points[:, self._within(points)]
+        terms = self._terms(points)
+        to_terms = np.linalg.pinv(terms)
+        for segment in {poses[frame].segment for frame in self._fields}:
+            frames = np.array([frame for frame in sorted(self._fields) if poses[frame].segment == segment])
+            at = np.array([(poses[frame].row, poses[frame].col) for frame in frames])
+            places = points.T + at[:, None]
+            chosen = slice(None, None, ceil(len(frames) / _MAX_FRAMES))
+            moved = np.array([(self._fields[frame] @ terms).T for frame in frames[chosen]])
+            moved -= moved.mean(axis=(0, 1))  # the mosaic as a whole stays where it is
+            known = places[chosen].reshape(-1, 2), frames[chosen].repeat(len(terms.T)), moved.reshape(-1, 2)
+            still = static_part(*known, LENGTH_DIAMETERS * self._grid.diameter)
+            for frame, place in zip(frames.tolist(), places, strict=True):
+                self._fields[frame] = self._fields[frame] - still(place).T @ to_terms
+
     def undone(self, index: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the image of a frame as it would be without its field.
 
@@ -284,71 +300,6 @@ class Deformation:
         light, lit = _sampled(both, at)
         smooth, share = _sampled(blurred, ((at.T + 0.5) * scale - 0.5).T)
         return np.asarray(light - smooth / np.maximum(share, 1e-3) * lit, np.float64)
-
-
-def estimate_deformation(
-    image: Callable[[int], NDArray[np.float32]], poses: Sequence[Pose], grid: Grid
-) -> Deformation | None:
-    """Estimate the deformation of the tissue in all tracked frames; None where the scene is rigid.
-
-    Parameters
-    ----------
-    image : callable
-        Returns the image (side, side) of a frame by its index, valid until the next call.
-    poses : sequence of Pose
-        Final poses of all frames.
-    grid : Grid
-        The frames' grid.
-    """
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
-    tested, deformation = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid)
-
-    @lru_cache(MAX_HELD)
-    def held(index: int) -> NDArray[np.float32]:
-        return image(index).copy()
-
-    compared = (deformation.compare((held(a), held(b)), (a, b), (poses[a], poses[b])) for a, b in tested)
-    if sum(deformation.gain(*found) for found in compared if found is not None) <= 0:
-        return None
-    along = [(a, b) for a, b in pairwise(tracked) if poses[a].segment == poses[b].segment]
-    again = revisits(poses, tracked, grid.diameter)
-    for whole in ROUNDS:
-        deformation.solve(held, poses, along + again if whole else along)
-    return deformation
-
-
-def _tested_pairs(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
-    """Return a few pairs of `tracked` frames, each with the first that is some way off, or the last of its segment."""
-    pairs = []
-    for k in tracked[:: ceil(len(tracked) / MAX_TESTED) or 1]:
-        later = [j for j in tracked if j > k and poses[j].segment == poses[k].segment]
-        away = (j for j in later if abs(poses[j].at - poses[k].at) > TESTED_DIAMETERS * diameter)
-        if later:
-            pairs.append((k, next(away, later[-1])))
-    return pairs
-
-
-def revisits(poses: Sequence[Pose], tracked: Sequence[int], diameter: float) -> list[tuple[int, int]]:
-    """Return pairs of `tracked` frames that show the same place far apart along the path: the nearest to every few.
-
-    Parameters
-    ----------
-    poses : sequence of Pose
-        Of all frames.
-    tracked : sequence of int
-        Indices of those that are tracked.
-    diameter : float
-        Of a frame, pixels.
-    """
-    at, segments = np.array([poses[k].at for k in tracked]), np.array([poses[k].segment for k in tracked])
-    gone, pairs = np.cumsum(abs(np.diff(at, prepend=at[0]))), []
-    for k in range(0, len(tracked), _EVERY):
-        distance = abs(at[:k] - at[k])
-        near = (distance < REACH * diameter) & (gone[k] - gone[:k] > AWAY * diameter)
-        near &= segments[:k] == segments[k]
-        if near.any():
-            pairs.append((tracked[int(np.argmin(np.where(near, distance, np.inf)))], tracked[k]))
-    return pairs
 
 
 def _assembled(blocks: Mapping[tuple[int, int], Floats], count: int) -> sparse.bsr_array:
