@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.studies.acceptance import Row, TruePath, grid_of, recorded
-from napari_elsplus.processing.tracking.backward_tracking import completed, reversed_registration
+from napari_elsplus.processing.tracking.backward_tracking import _joined, completed, reversed_registration
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, located, without_jolts
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 LINK = PairRegistration(Warp(1.03, -21.0, 0.02, 8.0), np.diag([4e4, 30.0, 5e4, 20.0]) + 1.0, 0.98, 0.9, 40.0)
@@ -52,6 +52,15 @@ def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
         poses.append(tracker.add())
     _, links = completed(poses, tracker, lambda _: dark)
     assert not links
+
+
+def test_frames_that_no_segment_leads_to_are_not_tracked_backwards() -> None:
+    """After the last segment a jolt may lie within both of two frames, of which the registration is sure and wrong."""
+    lost = Pose(0, np.nan, np.nan, Velocity(np.nan, np.nan), np.nan, np.nan, TrackingState.LOST)
+    found = {k: Pose(0, 0.0, 0.0, Velocity(0.0, 0.0), 0.98, 0.1, TrackingState.TRACKED) for k in range(2)}
+    poses = [lost, lost]
+    assert not _joined(poses, found, [TrackedPair(0, 1, Displacement(-67.9, -20.5), LINK._replace(odds=700.0))])
+    assert poses == [lost, lost]
 
 
 def forwards(row: Row, seed: int) -> tuple[TruePath, Tracker, list[Pose]]:

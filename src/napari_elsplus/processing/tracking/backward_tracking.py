@@ -17,7 +17,13 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
-from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, located, settle, without_jolts
+from napari_elsplus.processing.tracking.pose_graph.refinement import (
+    borne_out,
+    located,
+    settle,
+    within_segments,
+    without_jolts,
+)
 from napari_elsplus.processing.tracking.registration.pair_registration import Registrar, TrackedPair
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -80,6 +86,7 @@ def completed(
         links += _joined(result, {k: pose for k, pose in ahead.items() if pose.state is TrackingState.TRACKED}, added)
     if FIELD * registrar.grid.diameter > JOLTED_READ * shutter.line_periods_per_frame:
         links = without_jolts(links)
+    links = within_segments(result, links)
     return settle(result, links), links
 
 
@@ -116,8 +123,7 @@ def _joined(poses: list[Pose], found: Mapping[int, Pose], links: Sequence[Tracke
             continue
         before, after = poses[link.earlier], poses[link.later]
         if after.state is not TrackingState.TRACKED:
-            segment = 1 + max(pose.segment for pose in poses)
-            after = poses[link.later] = _timely(found[link.later]).placed(0j, 0.0, segment)
+            continue
         angle = after.angle - link.registration.turn
         at = after.at - rect(1, after.angle) * complex(*link.displacement)
         if before.state is not TrackingState.TRACKED:

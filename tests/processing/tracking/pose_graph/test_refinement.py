@@ -5,7 +5,12 @@ import pytest
 
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity
-from napari_elsplus.processing.tracking.pose_graph.refinement import with_origins, without_jolts
+from napari_elsplus.processing.tracking.pose_graph.refinement import (
+    settle,
+    with_origins,
+    within_segments,
+    without_jolts,
+)
 from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, TrackedPair
 
 SHUTTER = RollingShutter(300.0)
@@ -49,3 +54,16 @@ def test_a_segment_does_not_begin_with_a_frame_that_may_have_been_jolted(
     follows = TrackedPair(begins[1], begins[1] + 1, moved, found)
     kept = without_jolts([*before, start, follows])
     assert kept == [*before, *([start] if stands else []), follows]
+
+
+def test_a_frame_that_is_registered_to_a_lost_one_alone_is_lost() -> None:
+    """A jolt within it and the frame before: the registration is sure, but of the middle of neither."""
+    moved = Displacement(*STEADY)
+    found = PairRegistration(SHUTTER.warp(STEADY, STEADY, moved), np.eye(4), 0.98, 0.9, 700.0)
+    links = [TrackedPair(k, k + 1, moved, found) for k in (0, 1, 3, 5)]
+    tracked = Pose(0, 0.0, 0.0, STEADY, 0.98, 0.1, TrackingState.TRACKED)
+    poses = [tracked, tracked, tracked, LOST, tracked._replace(segment=1), *2 * [tracked._replace(segment=2)]]
+    within = within_segments(poses, links)
+    assert within == [*links[:2], links[3]]
+    states = [pose.state is TrackingState.TRACKED for pose in settle(poses, within)]
+    assert states == [True, True, True, False, False, True, True]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cmath import rect
+from math import nan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -60,7 +61,7 @@ def refine(
         frames are interpolated between tracked ones, and those after the last of a segment are lost. Uncertainties are
         those of :func:`~.uncertainty.with_uncertainties`.
     """
-    tracked = {k: pose.segment for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED}
+    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
     registered = {link.later: link for link in reversed(links)}  # the first of several, as the tracker's come first
     selector, solved = KeyframeSelector(graph.grid), 0
     for k in tracked:
@@ -73,7 +74,7 @@ def refine(
     graph.solve()
     placed = from_origins(graph.corrections.of_poses(range(len(poses)), poses))
     stretch = LINK_STRETCH_PX / graph.grid.shutter.line_periods_per_frame
-    within = [link for link in links if tracked.get(link.earlier, -1) == tracked.get(link.later, -2)]
+    within = within_segments(poses, links)
     edges = [Edge(a, b, complex(*moved), edge_covariance(link, stretch)) for a, b, moved, link, _ in within]
     at, angle = np.array([pose.at for pose in placed]), np.array([pose.angle for pose in placed])
     at = least_squares_positions([*edges, *graph.loops], at, angle)
@@ -158,6 +159,22 @@ def located(poses: Sequence[Pose], links: Sequence[TrackedPair], shutter: Rollin
         Timing of the rows.
     """
     return with_origins(settle(poses, links), links, shutter)
+
+
+def within_segments(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[TrackedPair]:
+    """Return the registrations between tracked frames of one segment.
+
+    Others locate no frame: one that is registered to a lost frame alone is lost, too.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        One for every frame.
+    links : sequence of TrackedPair
+        Registrations.
+    """
+    segment = [pose.segment if pose.state is TrackingState.TRACKED else nan for pose in poses]
+    return [link for link in links if segment[link.earlier] == segment[link.later]]
 
 
 def settle(poses: Sequence[Pose], links: Sequence[TrackedPair]) -> list[Pose]:
