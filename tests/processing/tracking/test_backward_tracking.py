@@ -3,13 +3,14 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.studies.acceptance import Row, TruePath, grid_of, recorded
-from napari_elsplus.processing.tracking.backward_tracking import _joined, completed, reversed_registration
+from napari_elsplus.processing.tracking.backward_tracking import completed, reversed_registration
 from napari_elsplus.processing.tracking.front_end.grid import Grid
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
+from napari_elsplus.processing.tracking.motion.rolling_shutter import RollingShutter, Warp
 from napari_elsplus.processing.tracking.pose_graph.refinement import borne_out, located, without_jolts
-from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar, TrackedPair
+from napari_elsplus.processing.tracking.registration.pair_registration import PairRegistration, Registrar
 from napari_elsplus.processing.tracking.tracker import Tracker
+from tests.processing.tracking.test_standing_pattern import raw_tracking, refined, seen, step_errors
 
 LINK = PairRegistration(Warp(1.03, -21.0, 0.02, 8.0), np.diag([4e4, 30.0, 5e4, 20.0]) + 1.0, 0.98, 0.9, 40.0)
 
@@ -54,15 +55,6 @@ def test_of_frames_that_show_nothing_none_is_tracked_backwards() -> None:
     assert not links
 
 
-def test_frames_that_no_segment_leads_to_are_not_tracked_backwards() -> None:
-    """After the last segment a jolt may lie within both of two frames, of which the registration is sure and wrong."""
-    lost = Pose(0, np.nan, np.nan, Velocity(np.nan, np.nan), np.nan, np.nan, TrackingState.LOST)
-    found = {k: Pose(0, 0.0, 0.0, Velocity(0.0, 0.0), 0.98, 0.1, TrackingState.TRACKED) for k in range(2)}
-    poses = [lost, lost]
-    assert not _joined(poses, found, [TrackedPair(0, 1, Displacement(-67.9, -20.5), LINK._replace(odds=700.0))])
-    assert poses == [lost, lost]
-
-
 def forwards(row: Row, seed: int) -> tuple[TruePath, Tracker, list[Pose]]:
     """Return a recording of the acceptance study, the tracker that has seen all of it, and the poses."""
     recording, tracker, poses = recorded(row, seed=seed), Tracker(Registrar(grid_of(row))), []
@@ -99,3 +91,16 @@ def test_a_jolt_within_the_first_frame_after_it_leaves_no_wrong_registration() -
     misses = [np.subtract(moved, np.diff(recording.positions[[a, b]], axis=0)[0]) for a, b, moved, *_ in links]
     assert grid.binning * np.hypot(*np.transpose(misses)).max() < 3.0
     assert sum(pose.state is TrackingState.TRACKED for pose in after) > 25
+
+
+def test_a_jolt_within_the_last_frame_leaves_no_wrong_registration() -> None:
+    """It lies within the frame before as well; backwards the two came first, compared with none: 19 px off."""
+    tracking, frames = raw_tracking(), np.arange(24)
+    positions = np.stack([4.0 * frames, -3.0 * frames], axis=1)
+    positions[18:] += 0.0, 85.0
+    positions[23] += -85.0, -17.0
+    poses = refined(tracking, seen(tracking.grid, positions, seed=0, px=3.0))
+    errors = step_errors(poses, positions)
+    assert len(errors) >= 16
+    assert errors.max() < 1
+    assert poses[23].state is TrackingState.LOST

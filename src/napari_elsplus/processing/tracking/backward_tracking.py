@@ -72,6 +72,8 @@ def completed(
     shutter = tracker.grid.shutter
     links = borne_out(poses, tracker.links)
     result = located(poses, links, shutter)
+    # a first registration backwards has no others before it that it could be compared with
+    least = np.median([link.registration.at_half for link in links] or [0.0]) - FALL_OF_CORRELATION
     registrar = Registrar(tracker.grid.upside_down())
     registrar.fall_of_correlation = FALL_OF_CORRELATION
     for begin, end in _stretches(result):
@@ -80,14 +82,14 @@ def completed(
             again.slot()[:] = image(frame)[::-1]
             backwards.append(again.add())
             again.skip(tracker.lost.get(frame, 0))
-        found = borne_out(backwards, again.links)
+        alike = [link for link in again.links if link.registration.at_half >= least]
+        found = borne_out(backwards, alike)
         ahead = {end - 1 - k: pose for k, pose in enumerate(located(backwards, found, shutter))}
         added = [_forwards(link, end - 1, result) for link in found]
         links += _joined(result, {k: pose for k, pose in ahead.items() if pose.state is TrackingState.TRACKED}, added)
     if FIELD * registrar.grid.diameter > JOLTED_READ * shutter.line_periods_per_frame:
         links = without_jolts(links)
-    links = within_segments(result, links)
-    return settle(result, links), links
+    return settle(result, within_segments(result, links)), links
 
 
 def _stretches(poses: Sequence[Pose]) -> list[tuple[int, int]]:
@@ -123,7 +125,8 @@ def _joined(poses: list[Pose], found: Mapping[int, Pose], links: Sequence[Tracke
             continue
         before, after = poses[link.earlier], poses[link.later]
         if after.state is not TrackingState.TRACKED:
-            continue
+            segment = 1 + max(pose.segment for pose in poses)
+            after = poses[link.later] = _timely(found[link.later]).placed(0j, 0.0, segment)
         angle = after.angle - link.registration.turn
         at = after.at - rect(1, after.angle) * complex(*link.displacement)
         if before.state is not TrackingState.TRACKED:
