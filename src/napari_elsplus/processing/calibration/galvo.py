@@ -16,11 +16,17 @@ import numpy as np
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import (
     clustered_influence,
-    overlapping_influence,
     robust_sigma,
-    small_sample_factor,
 )
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
+from napari_elsplus.processing.calibration.line.sweep_influence import (
+    MIN_SWEEP_V,
+    RUNS,
+    Influence,
+    different_voltages,
+    influence_of_lines,
+    runs_of,
+)
 from napari_elsplus.processing.calibration.line.sweep_jump import require_steady
 
 if TYPE_CHECKING:
@@ -41,23 +47,14 @@ MIN_CHORD: Final = 0.7
 MIN_BEND_SIGMAS: Final = 3.0
 """Standard deviations below which the line counts as straight, and the sweep as symmetrical about its middle; chosen:
 one in 400 exceeds them by chance."""
-MAX_VOLTS, MIN_SWEEP_V = 20.0, 1e-6
-"""In volts; chosen: twice what the drivers of galvos take, by which millivolts are told, and far below one step of a
-card."""
+MAX_VOLTS: Final = 20.0
+"""Chosen: twice what the drivers of galvos take, by which millivolts are told."""
 OUTLIER_SIGMAS: Final = 5.0
 """Robust standard deviations; chosen: a line of a good sweep exceeds them once in a million."""
-RUNS: Final = 20
-"""Clusters of neighbouring voltages; chosen: enough for a variance, each wider than a row of cores."""
 PRIOR_LINES: Final = 4
 """Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
 _MAX_DEGREE: Final = 3
 """Of the polynomial that tells whether the galvo is curved; fewer than six different voltages leave a lower one."""
-_NEIGHBOURS: Final = 4
-"""Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
-RUNS_FREEDOM: Final = 6
-"""Degrees of freedom of a variance by overlapping sums of runs from which a cubic was taken off; measured, twice the
-squared mean over the variance in 3000 draws of noise. So few may agree by chance, hundreds of single lines do not: a
-variance by these, as if they were independent, counts as much as that by runs, as a prior of as many degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +192,7 @@ def fit_galvo(
     v = volts[frames := np.array([k for k, _ in whole])]
     if np.ptp(v) < MIN_SWEEP_V:
         raise InputError(f"the voltages of frames with a line span {np.ptp(v):g} V", "sweep a range of voltages")
-    if (different := _different(v)) < MIN_LINES:
+    if (different := different_voltages(v)) < MIN_LINES:
         raise MeasurementError(
             f"the {len(whole)} frames with a line have {different} different voltages, {MIN_LINES} are needed",
             "sweep more voltages",
@@ -219,10 +216,10 @@ def fit_galvo(
         )
     near = used | (np.abs(away) < MAX_LOST_FRAMES * abs(slope) * np.median(np.abs(np.diff(v))))
     require_steady(rows[near], _polynomial(_place(v))[near], frames[near])
-    drawn_rows, by_light = _drawn_by_light(v, [line for _, line in whole], used)
+    drawn = _drawn_by_light(v, [line for _, line in whole], used)
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
-    return _fit(v, rows - drawn_rows, used, tilt_deg, bow, by_light, column, len(lines) - len(whole), each_rows)
+    return _fit(v, rows - drawn.rows, used, tilt_deg, bow, drawn, column, len(lines) - len(whole), each_rows)
 
 
 class _Bow(NamedTuple):
@@ -245,27 +242,38 @@ def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: floa
     terms = root * _polynomial(_place(volts[kept]))
     scaled = root[:, 0] * bends[kept]
     left_over = np.asarray(scaled - terms @ np.linalg.lstsq(terms, scaled, rcond=None)[0], np.float64)
-    uncertainty = float(np.sqrt(_covariance(root, left_over, terms, _runs(volts[kept]))[0, 0]))
+    uncertainty = float(np.sqrt(influence_of_lines(root, left_over, terms, runs_of(volts[kept])).covariance[0, 0]))
     share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
     return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
 
 
-def _drawn_by_light(volts: Floats, lines: list[Line], used: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return the rows by which lines are drawn to brighter ones, and the covariance of their level and slope.
+class _Drawn(NamedTuple):
+    """Rows by which lines are drawn to brighter ones, and by what the level and slope of these are changed.
+
+    That is the influence of the lines on the coefficients of their light, and the change by each, (2, 3).
+    """
+
+    rows: Floats
+    light: Influence
+    per_coefficient: Floats
+
+
+def _drawn_by_light(volts: Floats, lines: list[Line], used: NDArray[np.bool_]) -> _Drawn:
+    """Return the rows by which lines are drawn to brighter ones.
 
     Light that changes along the rows, as it falls towards the bundle's rim, moves a line by its variance times the
-    slope of the light's logarithm. A parabola gives it: the map's two parameters depend on no more. Its scatter from
-    core to core is common to the lines of a run.
+    slope of the light's logarithm. A parabola gives it: the map's two parameters depend on no more.
     """
     x = _place(volts, volts[used])
     light, rows = (np.array([getattr(line, name) for line in lines]) for name in ("amplitude", "row"))
-    terms = np.polynomial.legendre.legvander(x, 2)
+    terms = np.asarray(np.polynomial.legendre.legvander(x, min(_degree(x[used]), 2)), np.float64)
     coefficients, *_ = np.linalg.lstsq(terms[used], np.log(light[used]), rcond=None)
-    scatter = np.square(np.log(light[used]) - terms[used] @ coefficients).mean() * max(1.0, used.sum() / RUNS)
+    left_over = np.asarray(np.log(light[used]) - terms[used] @ coefficients, np.float64)
     rows_per_slope = np.mean([line.width_rows**2 for line in lines]) / np.polyfit(x[used], rows[used], 1)[0]
-    by_terms = rows_per_slope * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])  # derivatives of the terms
-    drawn = terms[:, :2] @ by_terms @ coefficients
-    return drawn, np.asarray(by_terms @ np.linalg.inv(terms[used].T @ terms[used]) @ by_terms.T * scatter, np.float64)
+    derivatives = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])[:, : terms.shape[1]]
+    by_terms = rows_per_slope * derivatives
+    influence = influence_of_lines(terms[used], left_over, terms[used], runs_of(volts[used]))
+    return _Drawn(terms[:, :2] @ by_terms @ coefficients, influence, by_terms)
 
 
 def _place(volts: Floats, sweep: Floats | None = None) -> Floats:
@@ -274,46 +282,14 @@ def _place(volts: Floats, sweep: Floats | None = None) -> Floats:
     return np.asarray((volts - (swept.max() + swept.min()) / 2) / (np.ptp(swept) / 2), np.float64)
 
 
+def _degree(x: Floats) -> int:
+    """Return the degree of a polynomial that leaves over what tells scatter, for lines at places `x` of the sweep."""
+    return int(np.clip(different_voltages(x) - 3, 1, _MAX_DEGREE))
+
+
 def _polynomial(x: Floats) -> Floats:
     """Return the terms of a cubic, or of less for few voltages, at places `x` of the sweep, shape (lines, terms)."""
-    degree = int(np.clip(_different(x) - 3, 1, _MAX_DEGREE))  # leaves over as much as tells scatter
-    return np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
-
-
-def _ranks(values: Floats) -> NDArray[np.intp]:
-    """Return the place of each voltage in the order of the different ones, from 0."""
-    return np.unique(np.round(values / MIN_SWEEP_V), return_inverse=True)[1]
-
-
-def _different(values: Floats) -> int:
-    """Return the number of different voltages, or of places of the sweep."""
-    return int(_ranks(values).max()) + 1
-
-
-def _runs(volts: Floats) -> NDArray[np.intp]:
-    """Return the run of neighbouring voltages to which each belongs."""
-    rank = _ranks(volts)
-    return np.asarray(rank * RUNS // (rank.max() + 1), np.intp)
-
-
-def _covariance(jacobian: Floats, left_over: Floats, removed: Floats, runs: NDArray[np.intp]) -> Floats:
-    """Return the covariance of a least-squares fit to lines whose errors are like those of their neighbours.
-
-    Parameters
-    ----------
-    jacobian : numpy.ndarray
-        Of the fit, shape (lines, parameters).
-    left_over : numpy.ndarray
-        What a fuller model leaves over, shape (lines,).
-    removed : numpy.ndarray
-        Terms of that model, shape (lines, terms).
-    runs : numpy.ndarray
-        Of :func:`_runs`.
-    """
-    influence = overlapping_influence(jacobian, left_over, runs, RUNS, _NEIGHBOURS, removed)
-    variance = np.square(left_over).sum() / (len(left_over) - removed.shape[1])
-    single = variance * np.linalg.inv(jacobian.T @ jacobian)
-    return np.asarray(small_sample_factor(2 * RUNS_FREEDOM) ** 2 * (influence.T @ influence + single) / 2, np.float64)
+    return np.asarray(np.polynomial.legendre.legvander(x, _degree(x)), np.float64)
 
 
 def _fit(
@@ -322,14 +298,14 @@ def _fit(
     used: NDArray[np.bool_],
     tilt_deg: float,
     bow: _Bow,
-    by_light: Floats,
+    drawn: _Drawn,
     column: float,
     dark: int,
     each_rows: float,
 ) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
-    x, runs = _place(v), _runs(v)
+    x, runs = _place(v), runs_of(v)
     jacobian = np.asarray(np.stack([np.ones_like(x), x], axis=1), np.float64)
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
@@ -338,11 +314,12 @@ def _fit(
     to_zero = np.array([-half / per_half, half * level / per_half**2])
     # A curve of the galvo or of the lens is no scatter; what it moves the middle by is added below.
     curve = _curvature(x, y, runs)
-    of_runs = _covariance(jacobian, curve.left_over, curve.terms, runs)
+    # Cores of other light draw single lines, too, so that their errors and that of the light are not independent.
+    of_lines = influence_of_lines(jacobian, curve.left_over, curve.terms, runs).less(drawn.light, drawn.per_coefficient)
     # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
     alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
     free = len(v) - curve.terms.shape[1]
-    covariance = (of_runs * free + alone * PRIOR_LINES) / (free + PRIOR_LINES) + by_light
+    covariance = (of_lines.covariance * free + alone * PRIOR_LINES) / (free + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
     def sigma(by: Floats) -> float:
