@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 from napari_elsplus.hardware.daq.session import CALL_TIMEOUT_S, TimeLimitedChannel, open_session
@@ -46,3 +48,30 @@ def test_tasks_of_a_session_share_the_methods_of_its_card() -> None:
         first.close()
         second.close()
         session.close()
+
+
+SERVERS_THAT_END = """
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from napari_elsplus.hardware.daq.session import open_session
+import grpc
+
+for _ in range(30):
+    server = grpc.server(ThreadPoolExecutor(1))
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    session = open_session(f"127.0.0.1:{port}")
+    channel = session._options.grpc_channel._channel
+    grpc.channel_ready_future(channel).result(10)
+    call = channel.unary_unary("/card/Read").future(b"")
+    server.stop(0)
+    time.sleep(0.05)
+    session.close()
+"""
+
+
+def test_a_server_that_ends_writes_nothing_between_the_messages() -> None:
+    """One in four wrote "Got goaway" with a date and the place in gRPC's source."""
+    done = subprocess.run([sys.executable, "-c", SERVERS_THAT_END], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
