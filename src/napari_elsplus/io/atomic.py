@@ -96,8 +96,8 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     """Write a file beside its target and rename it at the end.
 
     On any error, Ctrl-C included, what was written is removed and the target stays as it was, unless it was replaced
-    already. A link is replaced by
-    what was written, and the file or folder that it names stays: it may be an earlier result under its own name.
+    already. A link is replaced by what was written, and the file or folder that it names stays: it may be an earlier
+    result under its own name.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from napari_elsplus.processing.mosaicing.exposure import estimate_fading
 from napari_elsplus.processing.mosaicing.line_light import LineLight, estimate_line_light
 from napari_elsplus.processing.mosaicing.mosaic import Insertion, Mosaic, rim_weights
 from napari_elsplus.processing.progress import Progress, without_display
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState, tracked_frames
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 
 if TYPE_CHECKING:
@@ -291,7 +291,7 @@ class Pipeline:
 
     def _draw(self, image: Callable[[int], NDArray[np.float32]], progress: Progress = without_display) -> None:
         """Insert all tracked frames into fresh mosaics."""
-        tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
+        tracked = tracked_frames(self.poses)
         last = {self.poses[k].segment: k for k in tracked}.values()
         self.mosaics = {}
         covers = self._tapers_rim and self._insertion is Insertion.DEAD_LEAF

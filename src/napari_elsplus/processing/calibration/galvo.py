@@ -14,10 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
-from napari_elsplus.processing.analysis.uncertainty import (
-    clustered_influence,
-    robust_sigma,
-)
+from napari_elsplus.processing.analysis.uncertainty import clustered_influence, robust_sigma
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.sweep_influence import (
     MIN_SWEEP_V,

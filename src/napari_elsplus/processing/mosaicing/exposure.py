@@ -19,7 +19,7 @@ from napari_elsplus.processing.compiled import kernel
 from napari_elsplus.processing.mosaicing.deformation.estimation import MAX_HELD, revisits
 from napari_elsplus.processing.mosaicing.footprint import rows_on_tile
 from napari_elsplus.processing.tracking.front_end.grid import lit_pixels
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, tracked_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -143,7 +143,7 @@ def estimate_fading(image: Callable[[int], NDArray[np.float32]], poses: Sequence
     grid : Grid
         The frames' grid.
     """
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
+    tracked = tracked_frames(poses)
     along = [(a, b) for step in NEIGHBOURS for a, b in zip(tracked, tracked[step:], strict=False)]
     pairs = [(a, b) for a, b in along if poses[a].segment == poses[b].segment] + revisits(poses, tracked, grid.diameter)
     small = (-(-grid.side // _REDUCED),) * 2

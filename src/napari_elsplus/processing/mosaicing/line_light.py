@@ -19,7 +19,7 @@ import numpy as np
 
 from napari_elsplus.processing.analysis.uncertainty import estimator_influence
 from napari_elsplus.processing.mosaicing.exposure import ROW_STEP, shared_parts
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, tracked_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -268,7 +268,7 @@ def _changes(waves: list[Floats], lit: NDArray[np.bool_], move: NDArray[np.int64
 
 def _pairs(poses: Sequence[Pose], grid: Grid, max_frames: int, max_pairs: int) -> list[tuple[int, int]]:
     """Return indices of tracked frames that overlap at different columns or rows, the earlier one first."""
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
+    tracked = tracked_frames(poses)
     pairs = []
     for a, b in combinations(_spread(tracked, max_frames), 2):
         one, two = poses[a], poses[b]

@@ -25,7 +25,7 @@ from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.finished.field import FinishedField
 from napari_elsplus.processing.tracking.finished.tracking import FinishedTracking
 from napari_elsplus.processing.tracking.front_end.grid import FIELD, Grid
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState, tracked_frames
 from napari_elsplus.processing.tracking.registration.motion_models import turned_by, unsheared
 from napari_elsplus.processing.tracking.registry import Method, tracking_method
 from napari_elsplus.workflows.core_mosaicing.fine_pipeline import FinePipeline
@@ -131,7 +131,7 @@ class CorePipeline(Pipeline):
             If too few frames are tracked, or they did not move.
         """
         self.refine(raw_pair, progress)
-        tracked = [k for k, pose in enumerate(self.poses) if pose.state is TrackingState.TRACKED]
+        tracked = tracked_frames(self.poses)
         self._require_motion([self.poses[k] for k in tracked])
         self._estimate_light(raw_pair)
         kept = _KEPT_BYTES // (4 * len(self._view.cores)) if self._max_refinements else 0

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from napari_elsplus.processing.mosaicing.deformation.fields import Deformation
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
+from napari_elsplus.processing.tracking.motion.pose import Pose, tracked_frames
 from napari_elsplus.processing.tracking.pose_graph.graph import AWAY, REACH
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def estimate_deformation(
     grid : Grid
         The frames' grid.
     """
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
+    tracked = tracked_frames(poses)
     tested, deformation = _tested_pairs(poses, tracked, grid.diameter), Deformation(grid)
 
     @lru_cache(MAX_HELD)

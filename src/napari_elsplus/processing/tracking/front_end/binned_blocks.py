@@ -16,7 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from napari_elsplus.processing.compiled import build_prefetch
-from napari_elsplus.processing.vectors import FLOAT, Vectors, are_images, data_of
+from napari_elsplus.processing.vectors import FLOAT, PLACE, Vectors, are_images, data_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -33,7 +33,6 @@ VECTOR: Final = 16
 """Pixels of the grid that are smoothed at once: a vector of 512 bits."""
 CAMERA_KINDS: Final = (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32))
 """Kinds of camera pixels that are binned."""
-_PLACE: Final = ir.IntType(64)
 
 
 class _Camera:
@@ -100,13 +99,13 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     of_confocal, of_residual = (vectors.spread(w) for w in cgutils.unpack_tuple(builder, weights, 2))
 
     def entry(table: Any, n: Any, k: int, size: int) -> Any:
-        return builder.load(builder.gep(table, [builder.add(builder.mul(n, _PLACE(size)), _PLACE(k))]))
+        return builder.load(builder.gep(table, [builder.add(builder.mul(n, PLACE(size)), PLACE(k))]))
 
     def corners(n: Any) -> list[Any]:
-        return [builder.sext(entry(places, n, k, 4), _PLACE) for k in (0, 1)]
+        return [builder.sext(entry(places, n, k, 4), PLACE) for k in (0, 1)]
 
     def pixel(corner: Any, row: int, col: int) -> Any:
-        return builder.add(builder.add(corner, builder.mul(cols, _PLACE(row))), _PLACE(col))
+        return builder.add(builder.add(corner, builder.mul(cols, PLACE(row))), PLACE(col))
 
     def squares(data: Any, corner: Any, row: int) -> tuple[Any, Any]:
         """Return the sums of a row of the squares, and of those one camera pixel aside."""
@@ -117,7 +116,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     begin, end = cgutils.unpack_tuple(builder, which, 2)
     with cgutils.for_range(builder, end, begin) as loop:
         n = loop.index
-        later = corners(builder.add(n, _PLACE(AHEAD)))
+        later = corners(builder.add(n, PLACE(AHEAD)))
         for row in range(binning):
             build_prefetch(builder, builder.gep(raw, [pixel(later[0], row, 0)]))
             build_prefetch(builder, builder.gep(raw_residual, [pixel(later[1], row + 1, 0)]))
@@ -133,7 +132,7 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         step = vectors.fused(across, camera.real(camera.less(more_aside, more)), camera.real(more))
         between = vectors.fused(down, step, above)
         value = vectors.fused(between, of_residual, builder.fmul(camera.real(whole), of_confocal))
-        to = builder.sext(entry(places, n, 2, 4), _PLACE)
+        to = builder.sext(entry(places, n, 2, 4), PLACE)
         filled = builder.bitcast(entry(places, n, 3, 4), vectors.of(ir.IntType(1)))
         vectors.store(builder.select(filled, value, vectors.load(rows, to)), rows, to)
     return context.get_dummy_value()
@@ -187,10 +186,10 @@ def _build_smoothing(context: Any, builder: Any, signature: Any, arguments: Any)
     def along_columns(first: Any) -> Any:
         return smoothed([vectors.load(rows, builder.add(begin, first)) for begin in begins])
 
-    left = cgutils.alloca_once_value(builder, along_columns(_PLACE(0)))
+    left = cgutils.alloca_once_value(builder, along_columns(PLACE(0)))
     with cgutils.for_range(builder, count) as loop:
-        first = builder.mul(loop.index, _PLACE(VECTOR))
-        here, beyond = builder.load(left), along_columns(builder.add(first, _PLACE(VECTOR)))
+        first = builder.mul(loop.index, PLACE(VECTOR))
+        here, beyond = builder.load(left), along_columns(builder.add(first, PLACE(VECTOR)))
         builder.store(beyond, left)
         value = smoothed([vectors.chosen(here, beyond, range(k, k + VECTOR)) for k in range(5)])
         to = builder.add(at, first)

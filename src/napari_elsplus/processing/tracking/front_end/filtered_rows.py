@@ -134,21 +134,8 @@ def _lay_row(
     """
     if not are_images(pixels, image_weight, value, weight):
         return None
-    place = types.int64
-    arguments = (
-        pixels,
-        begins,
-        down,
-        across,
-        image_weight,
-        place,
-        value,
-        weight,
-        place,
-        place,
-        types.float32,
-        types.boolean,
-    )
+    place, images = types.int64, (image_weight, types.int64, value, weight)
+    arguments = pixels, begins, down, across, *images, place, place, types.float32, types.boolean
     return types.void(*arguments), _build_laying
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -94,3 +94,8 @@ def frame_periods(frames: int, lost: Mapping[int, int]) -> NDArray[np.int64]:
         How many frames were lost before some, by their index.
     """
     return np.cumsum([1 + lost.get(index, 0) for index in range(frames)], dtype=np.int64)
+
+
+def tracked_frames(poses: Sequence[Pose]) -> list[int]:
+    """Return the indices of the frames whose `poses` are tracked."""
+    return [index for index, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState, frame_periods
+from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState, frame_periods, tracked_frames
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Velocity
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
 from napari_elsplus.processing.tracking.pose_graph.edge import Edge
@@ -61,7 +61,7 @@ def refine(
         frames are interpolated between tracked ones, and those after the last of a segment are lost. Uncertainties are
         those of :func:`~.uncertainty.with_uncertainties`.
     """
-    tracked = [k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED]
+    tracked = tracked_frames(poses)
     registered = {link.later: link for link in reversed(links)}  # the first of several, as the tracker's come first
     selector, solved = KeyframeSelector(graph.grid), 0
     for k in tracked:
@@ -239,7 +239,7 @@ def interpolate(poses: Sequence[Pose]) -> list[Pose]:
         One for every frame; no predicted one is the first or the last of its segment.
     """
     result = list(poses)
-    known = np.array([k for k, pose in enumerate(poses) if pose.state is TrackingState.TRACKED], int)
+    known = np.array(tracked_frames(poses), int)
     at, angle = np.array([poses[k].at for k in known]), np.array([poses[k].angle for k in known])
     velocity = np.diff(at) / np.diff(known)
     for k, pose in enumerate(poses):

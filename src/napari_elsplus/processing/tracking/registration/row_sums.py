@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.float32]
 
-_CONTRACT: Final = ("contract",)
 _PAIRS: Final = (
     "t1", "i1", "tt", "ti", "ii", "y1", "x1", "yy", "yx", "xx", "yt", "xt", "ye", "xe", "ge",
     "w1", "ww", "wy", "wx", "wt", "we", "u1", "uu", "ux", "uw", "ut", "ue",
@@ -68,9 +67,9 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         squares = (builder.fmul(values[name], values[name]) for name in "yx")
         values["g"] = builder.fmul(builder.fadd(*squares), values["e"])
         for pair, total in zip(pairs, totals, strict=True):
-            first, second = values[pair[0]], pair[1]
-            product = first if second == "1" else builder.fmul(first, values[second], flags=_CONTRACT)
-            builder.store(builder.fadd(builder.load(total), product, flags=_CONTRACT), total)
+            first, second, before = values[pair[0]], pair[1], builder.load(total)
+            after = builder.fadd(before, first) if second == "1" else vectors.fused(first, values[second], before)
+            builder.store(after, total)
 
     length = PLACE(LANES)
     whole = builder.sdiv(size, length)
@@ -84,9 +83,8 @@ def _build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         exact = builder.fpext(of_pixels, vectors.of(ir.DoubleType()))
         for number, power in enumerate(powers):
             place = PLACE(number * MOMENTS + group * LANES)
-            total = vectors.load(moments, place)
-            scaled = builder.fmul(exact, vectors.spread(power), flags=_CONTRACT)
-            vectors.store(builder.fadd(total, scaled, flags=_CONTRACT), moments, place)
+            total = vectors.fused(exact, vectors.spread(power), vectors.load(moments, place))
+            vectors.store(total, moments, place)
     return context.get_dummy_value()
 
 
