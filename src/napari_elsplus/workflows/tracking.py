@@ -234,12 +234,11 @@ class Pipeline:
         ]
 
     def discard_history(self) -> None:
-        """Discard all rows of the track but the newest, and the registrations: for streams of unlimited length.
+        """Discard all rows of the track but the newest: for streams of unlimited length.
 
         Mosaics stay and tracking continues; :meth:`finish` has nothing to refine then.
         """
         del self.rows[:-1], self.poses[:-1]
-        self.tracking.discard_registrations()
 
     def refine(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Close loops, join segments and solve the pose graph; mosaics are left as they are.

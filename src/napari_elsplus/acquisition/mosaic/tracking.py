@@ -158,6 +158,7 @@ class LiveTrack:
             self._counts.setdefault(place.segment, Counter())[place.state] += 1
             found = TrackedFrame(self._path.add(pose.segment, pose.row, pose.col), number, pose, place)
             self._insert(found, raw, image)
+            self.pipeline.tracking.discard_registrations()  # the nodes of the pose graph have theirs
             if self._board is not None:
                 self._board.append(self.pipeline.rows[-1])
                 if len(self.pipeline.rows) > LOCAL_ROWS:
