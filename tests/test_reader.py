@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 
 import numpy as np
 import pytest
@@ -198,6 +199,21 @@ def test_a_calibration_is_shown_and_becomes_the_active_one(make_napari_viewer_pr
     viewer.open(str(tmp_path / "stacks" / "bare.tif"), plugin=PLUGIN)
     assert "bare ELS+" in viewer.layers
     assert [severity for severity, _ in said()] == ["info", "warning"]
+
+
+def test_the_window_answers_while_the_outlines_of_a_calibration_are_prepared(
+    make_napari_viewer_proxy, tmp_path, monkeypatch
+):
+    """Before: it stood still for 11 s at the first one after an installation, and the engine took it for frozen."""
+    viewer, waited, ticks = make_napari_viewer_proxy(), threading.Event(), []
+    monkeypatch.setattr("napari_elsplus._reader.prepare_shapes", lambda: waited.wait(60))
+    ticking = QTimer()
+    ticking.timeout.connect(lambda: (ticks.append(True), waited.set() if len(ticks) == 5 else None))
+    ticking.start(0)
+    viewer.open(str(write_calibration(tmp_path / "c.json", calibration())), plugin=PLUGIN)
+    ticking.stop()
+    assert waited.is_set()
+    assert len(viewer.layers) == 1
 
 
 def damaged(tmp_path):

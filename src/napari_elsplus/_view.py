@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import weakref
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import napari
 import numpy as np
+from napari.layers import Shapes
 from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEventLoop, QTimer
 from qtpy.QtWidgets import QApplication
@@ -17,7 +19,7 @@ from napari_elsplus.viewing.provenance import GIVES_WAY, PROVENANCE, provenance_
 from napari_elsplus.viewing.stack import TIME
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from napari.layers import Layer
     from numpy.typing import NDArray
@@ -26,6 +28,8 @@ FILLED: Final = 0.95
 """Share of the canvas that the layers fill, as with napari's own reset of the view."""
 SETTLED_MS: Final = 50
 """Time from the last layer until all are laid out, milliseconds; chosen, some turns of the loop."""
+ANSWER_S: Final = 0.02
+"""Interval at which the window answers while it waits for a thread, seconds; chosen."""
 _WATCHED: Final = "elsplus"
 TWO_DIMENSIONS: Final = (
     "recordings are displayed in two dimensions: in three, napari would compute all frames at once. To display other "
@@ -113,6 +117,25 @@ class HiddenLayers:
 def answer() -> None:
     """Draw the window and run its timers between two layers, each of which takes napari a tenth of a second."""
     QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+
+def answer_during(work: Callable[[], None]) -> None:
+    """Run `work` in a thread; the window is drawn, and runs its timers, until it has ended."""
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(work)
+        while QApplication.instance() is not None and not running.done():
+            wait([running], ANSWER_S)
+            answer()
+    running.result()
+
+
+def prepare_shapes() -> None:
+    """Compile the drawing of lines, rectangles and ellipses, outside of the window's thread.
+
+    napari compiles it when the first shape is made: for 11 s, once on every installation.
+    """
+    corners = np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])
+    Shapes([corners[:2], corners, corners], shape_type=["line", "rectangle", "ellipse"])
 
 
 def open_in_viewer(layers: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

@@ -94,6 +94,20 @@ def test_a_calibration_without_any_step_is_not_saved(panel, tmp_path):
     assert panel.form.save.isEnabled()
 
 
+def test_the_outlines_of_a_bundle_pair_are_prepared_in_the_thread_that_measures_it(
+    viewer, panel, qtbot, open_recording, monkeypatch
+):
+    """Before: the window stood still for 11 s at the first pair after an installation; a stream was parked then."""
+    by: list[tuple[threading.Thread, bool]] = []
+    prepared = lambda: by.append((threading.current_thread(), OUTLINES in viewer.layers))  # noqa: E731
+    monkeypatch.setattr("napari_elsplus.widgets.calibration.measuring.prepare_shapes", prepared)
+    from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
+    ((thread, displayed),) = by
+    assert thread is not threading.main_thread()
+    assert not displayed
+    assert OUTLINES in viewer.layers
+
+
 def test_calibrated_by_clicking_the_simulated_rig_shows_a_scene_as_it_is(viewer, live, qtbot, said, tmp_path):
     form = live.form
     for step in (step.key for step in calibration_steps()):

@@ -10,6 +10,7 @@ from magicgui.widgets import ComboBox, SpinBox
 from napari.utils.notifications import show_info
 
 from napari_elsplus._problems import notify_errors
+from napari_elsplus._view import prepare_shapes
 from napari_elsplus.errors import InputError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE
 from napari_elsplus.processing.analysis.image_quality import Scaling, white_level, white_levels
@@ -46,7 +47,6 @@ from napari_elsplus.widgets.shared.panel import (
     timer,
 )
 from napari_elsplus.widgets.shared.plots import Curve
-from napari_elsplus.widgets.shared.shapes import prepare_shapes
 from napari_elsplus.workflows.pictures.comparison import ComparisonFigure, scaled_images
 from napari_elsplus.workflows.pictures.curves import MODE_COLOURS, MODE_DASHES
 

@@ -10,6 +10,7 @@ from napari.layers import Image, Shapes
 from qtpy.QtWidgets import QSizePolicy
 
 from napari_elsplus._problems import notify_errors
+from napari_elsplus._view import prepare_shapes
 from napari_elsplus.errors import CalibrationError
 from napari_elsplus.io.formats.registry import PICTURE, TABLE
 from napari_elsplus.processing.analysis.resolution import RESOLVED_CONTRAST
@@ -46,7 +47,6 @@ from napari_elsplus.widgets.shared.panel import (
     set_enabled,
 )
 from napari_elsplus.widgets.shared.plots import Curve
-from napari_elsplus.widgets.shared.shapes import prepare_shapes
 
 if TYPE_CHECKING:
     import napari.viewer

@@ -6,12 +6,13 @@ from dataclasses import replace
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any, Final
 
+from napari_elsplus._view import prepare_shapes
 from napari_elsplus.acquisition.link.client import followed_offsets
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.io import open_recording, read_volts, volts_beside
 from napari_elsplus.processing.calibration.draft import setup_of
 from napari_elsplus.processing.calibration.step import Capture, StepInputs
-from napari_elsplus.processing.calibration.steps import OFFSET, find_step
+from napari_elsplus.processing.calibration.steps import OFFSET, PAIR, find_step
 from napari_elsplus.viewing.calibration_script import MeasurementSource
 from napari_elsplus.widgets.calibration.session import ShownResult
 from napari_elsplus.workflows.calibration_report.plots import picture
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.acquisition.link.client import EngineClient
-    from napari_elsplus.processing.calibration.draft import Draft
+    from napari_elsplus.processing.calibration.draft import Draft, Setup
     from napari_elsplus.processing.calibration.step import CalibrationStep
     from napari_elsplus.processing.images.sectioning import Frames
     from napari_elsplus.processing.progress import ProgressWrapper
@@ -58,7 +59,7 @@ def measure_live(client: EngineClient, draft: Draft, target_um: float, source: M
     """
     step, setup = find_step(source.step), client.setup().result()
     found = client.measure_step(step, draft, source.voltages).result()
-    return ShownResult(found, setup, picture(step, found, draft, setup, target_um), source)
+    return _shown(step, found, draft, setup, target_um, source)
 
 
 def recorded_source(step: CalibrationStep[Any], path: Path, volts: Path | None) -> MeasurementSource:
@@ -149,6 +150,15 @@ def measure_frames(
     """
     step, setup = find_step(source.step), setup_of(frames)
     found = step.estimate(StepInputs(frames, setup, volts, progress=progress), draft)
+    return _shown(step, found, draft, setup, target_um, source)
+
+
+def _shown(
+    step: CalibrationStep[Any], found: Any, draft: Draft, setup: Setup, target_um: float, source: MeasurementSource
+) -> ShownResult:
+    """Return what a step has found with its picture; also prepares the outlines that are displayed of a pair."""
+    if step.key == PAIR.key:
+        prepare_shapes()
     return ShownResult(found, setup, picture(step, found, draft, setup, target_um), source)
 
 
