@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-
 import pytest
 
 from napari_elsplus._writer import write_image
@@ -54,16 +52,3 @@ def test_a_layer_that_the_user_removes_stays_away_and_what_was_hidden_is_shown_a
     assert [(layer.name, layer.visible) for layer in viewer.layers] == [("mine", True), ("hidden", False)]
     assert viewer.layers.selection.active == mine
     assert (camera.center, camera.zoom) == view
-
-
-def test_napari_searches_for_no_garbage_where_the_layers_are_removed(viewer):
-    """Before: accepting a bundle pair held the window for a second, 2 s on a busy computer."""
-    lit = list(transmission(Instrument.of("240hz")))[:2]
-    layers, searched = BundleLayers(viewer), []
-    layers.show(ShownResult(measure_pair(lit), setup_of(lit), None, None), Draft())
-    viewer.layers.events.removed.connect(lambda _: searched.append(len(gc.get_objects())))
-    before = len(gc.get_objects())
-    layers.show(None, Draft())
-    assert len(searched) == 2
-    assert max(searched) < before / 2
-    assert gc.get_freeze_count() == 0

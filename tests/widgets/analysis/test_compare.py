@@ -74,23 +74,19 @@ def test_a_comparison_is_of_one_frame_also_where_three_dimensions_were_displayed
     assert state(viewer) == before
 
 
-def test_the_window_answers_between_the_layers_and_napari_searches_little_for_garbage(viewer, panel, qtbot):
+def test_the_window_answers_between_the_layers(viewer, panel, qtbot):
     """Before: the window stood still until all layers were there, and longer until they were gone."""
-    events, searched = [], []
+    events = []
     ticks = QTimer(panel)
     ticks.timeout.connect(lambda: events.append("tick"))
     ticks.start(0)
     for emitter in (viewer.layers.events.inserted, viewer.layers.events.removed):
         emitter.connect(lambda _: events.append("layer"))
-    viewer.layers.events.removed.connect(lambda _: searched.append(len(gc.get_objects())))
-    before = len(gc.get_objects())
     press(panel, qtbot)
     press(panel, qtbot)
     ticks.stop()
     assert events.count("layer") == 2 * len(OURS)
     assert "layer layer" not in " ".join(events)
-    assert max(searched) < before / 2
-    assert gc.get_freeze_count() == 0
 
 
 @pytest.mark.parametrize("moment", ["hidden", "inserted", "removed"])

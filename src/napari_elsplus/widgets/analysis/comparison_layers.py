@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -125,7 +124,6 @@ class ComparisonLayers:
         line : tuple, optional
             Ends of the line, (row, col) in pixels of the images; across the middle if there is none.
         """
-        gc.freeze()  # napari collects garbage at the end: of what is made from now on, not of all that a process holds
         self._hidden.hide()
         answer()
         self._side = images[0].planes.shape[-1]
@@ -151,7 +149,6 @@ class ComparisonLayers:
             if layer in self._viewer.layers:
                 self._viewer.layers.remove(layer)
                 answer()
-        gc.unfreeze()
         self._hidden.restore()
         answer()
 

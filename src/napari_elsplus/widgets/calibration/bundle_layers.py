@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from typing import TYPE_CHECKING
 
 from napari_elsplus._view import HiddenLayers, fit_visible_layers, remove_layers
@@ -50,9 +49,7 @@ class BundleLayers:
         pair = shown.found if shown is not None and isinstance(shown.found, BundlePair) else None
         same = pair is self._pair
         if not same:
-            gc.freeze()  # napari collects garbage: of these two layers that can wait, and takes 2 s on a busy computer
             remove_layers(self._viewer, [layer for layer in self._layers if layer in self._viewer.layers])
-            gc.unfreeze()
             self._hidden.restore()
             self._pair, self._layers = pair, []
         if shown is None or pair is None:

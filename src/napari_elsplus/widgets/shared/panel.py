@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -17,6 +18,7 @@ from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
 from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
+from napari_elsplus.widgets.shared.window.garbage import leave_out_present_objects
 from napari_elsplus.widgets.shared.window.scrolling import PanelScrollArea
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ class _OnePerViewer(type(QWidget)):  # type: ignore[misc]
         present = find_panel(cls, viewer)
         if present is None:
             present = super().__call__(viewer, *rest, **options)  # type: ignore[misc]
+            if not _present:
+                leave_out_present_objects(viewer)
             _present.add(present)
         return present
 
@@ -110,6 +114,8 @@ class Panel(QWidget, metaclass=_OnePerViewer):
     def cleanup(self) -> None:
         """Disconnect from the viewer; a panel that changed the viewer overrides this to restore it first."""
         _present.discard(self)
+        if not _present:
+            gc.unfreeze()
         problems.resolve(self)
         for emitter, slot in self._connections:
             emitter.disconnect(slot)
