@@ -9,13 +9,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from napari_elsplus._problems import problems
 from napari_elsplus.acquisition.engine.live_images import Measures
 from napari_elsplus.acquisition.engine.status import ProcedureProgress, RecordingState, Status
 from napari_elsplus.acquisition.streaming.faults import Fault
 from napari_elsplus.errors import DeviceError
 from napari_elsplus.hardware.parking import ParkStage, ParkState
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.widgets.dock.status_line import newest_fault, rig_line
+from napari_elsplus.widgets.dock.status_line import StatusLine, newest_fault, rig_line
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.connection import join
 from napari_elsplus.widgets.shared.requests import RequestBar
@@ -110,6 +111,39 @@ def test_not_parked_is_said_until_it_is_parked_whatever_else_fails(live):
     assert "galvo parked" in rig_line("mine", parked)
     assert newest_fault(parked) == ""
     assert newest_fault(replace(refusing, faults=faults[:1])) == f"{problem}: parking goes on"
+
+
+def test_the_newest_of_faults_and_errors_is_displayed_and_a_dismissed_fault_hides_none(qtbot):
+    """Before: a fault of the stream stood in the line until the next stream, also dismissed, and hid all errors."""
+    fault = Fault("camera", "it was unplugged", "plug it in", 0.0)
+    client = SimpleNamespace(status=Status(faults=(fault,)))
+    connection = SimpleNamespace(
+        client=client, connecting=None, rig="mine", died=None, calibration=None, calibration_file=None
+    )
+    line = StatusLine()
+    qtbot.addWidget(line)
+
+    def displayed():
+        line.update_from(connection)
+        return "" if line.problem.isHidden() else line.problem.text()
+
+    assert "unplugged" in displayed()
+    problems.remember("the disk is full: make room")
+    assert "the disk is full" in displayed()
+    problems.resolve()
+    assert "unplugged" in displayed()
+    line.dismiss.click()
+    assert displayed() == ""
+    problems.remember("the disk is full: make room")
+    assert "the disk is full" in displayed()
+    line.dismiss.click()
+    assert displayed() == ""
+    client.status = Status(faults=(fault, Fault("recorder", "a second fault", "look", 0.0)))
+    assert "a second fault" in displayed()
+    client.status = Status()
+    assert displayed() == ""
+    client.status = Status(faults=(fault,))
+    assert "unplugged" in displayed(), "in another stream it is new"
 
 
 def test_a_disconnected_galvo_that_is_not_known_to_be_parked_is_an_error():
