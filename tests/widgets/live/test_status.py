@@ -173,6 +173,8 @@ def test_the_folder_of_a_recording_is_named(tmp_path: Path):
     recording = RecordingState(str(tmp_path / "r.ome.tif"), 480, running=False, seconds=2.1, missing=24)
     text = status_text(Status(recording=recording), None, 0.0, busy=False)
     assert "<b>recorded</b> r.ome.tif: 480 frames, 2.1 s, " in text
+    single = Status(recording=RecordingState(str(tmp_path / "snap.ome.tif"), 1, running=False))
+    assert "snap.ome.tif: 1 frame, " in status_text(single, None, 0.0, busy=False)
     assert "24 frames lost" in text
     assert f", in {tmp_path}" in text
 

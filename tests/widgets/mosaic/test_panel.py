@@ -307,6 +307,14 @@ def test_a_calibration_file_serves_a_recording_without_one(viewer, panel, qtbot,
     assert "<b>8</b> of 8" in panel.form.status.text()
 
 
+def test_a_selected_calibration_file_that_is_gone_is_an_error(viewer, panel, tmp_path, said):
+    """Before: the mosaic was made by the recording's own calibration, without a word."""
+    panel.form.calibration.value = tmp_path / "gone.json"
+    panel.form.start.native.click()
+    assert not panel.work.busy
+    assert "gone.json" in said()[-1][1]
+
+
 def test_finished_images_are_laid_as_they_are(viewer, panel, qtbot):
     scene = 100 * texture(500, 3)
     images = np.stack([scene[100 + 4 * k :][:200, 50 + 7 * k :][:, :200] for k in range(10)])

@@ -112,7 +112,8 @@ def _recorded(status: Status) -> list[str]:
     if recording is None:
         return []
     path, running = Path(recording.path), recording.running
-    parts = [f"{path.name}: {recording.frames} frames", f"{recording.seconds:.1f} s"]
+    plural = "" if recording.frames == 1 else "s"
+    parts = [f"{path.name}: {recording.frames} frame{plural}", f"{recording.seconds:.1f} s"]
     if recording.missing:
         parts.append(amber(f"{recording.missing} frames lost"))
     lost = ""

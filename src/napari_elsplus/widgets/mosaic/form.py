@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
@@ -107,12 +106,6 @@ class MosaicForm:
         modes = tuple(mode for mode, box in self.modes.items() if box.value)
         return MosaicPlan(modes, str(self.method.value), Insertion(self.insertion.value))
 
-    @property
-    def calibration_file(self) -> Path | None:
-        """The selected calibration file, if it exists."""
-        path = self.calibration.value
-        return path if isinstance(path, Path) and path.is_file() else None
-
     def remember(self) -> None:
         """Save the values for the next session."""
         plan = self.plan
@@ -160,7 +153,7 @@ class MosaicForm:
         """
         layer = self.recording.layer
         self.finished.visible = is_uncalibrated(layer)
-        ticked, given = bool(self.finished.value), self.calibration_file is not None
+        ticked, given = bool(self.finished.value), self.calibration.value is not None
         self.modes_note.setVisible(layer is not None and are_finished_images(layer, ticked=ticked, calibrated=given))
         self.going_live.text = cancels or ("Stop live" if live else "Live mosaic")
         self.going_live.enabled = bool(cancels) or not (busy or requesting)
