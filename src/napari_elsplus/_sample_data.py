@@ -36,7 +36,7 @@ FRAMES: Final = 480
 """Frames of the sample recording: two seconds at 240 Hz."""
 SHOWN: Final = (Mode.LS, Mode.RESIDUAL, Mode.ELS)
 """Images of the sample recording that are displayed, from left to right."""
-COMPILING: Final = "compiling, once after an installation"
+COMPILING: Final = "the first images after an installation take some seconds: kernels are compiled once"
 SEED: Final = 1
 """Seed of specimen, motion and noise; chosen."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magicgui.types import FileDialogMode
@@ -106,6 +107,12 @@ class MosaicForm:
         modes = tuple(mode for mode, box in self.modes.items() if box.value)
         return MosaicPlan(modes, str(self.method.value), Insertion(self.insertion.value))
 
+    @property
+    def calibration_file(self) -> Path | None:
+        """The calibration file, if one is selected; it may have been moved since."""
+        path = self.calibration.value
+        return path if isinstance(path, Path) else None
+
     def remember(self) -> None:
         """Save the values for the next session."""
         plan = self.plan
@@ -153,7 +160,7 @@ class MosaicForm:
         """
         layer = self.recording.layer
         self.finished.visible = is_uncalibrated(layer)
-        ticked, given = bool(self.finished.value), self.calibration.value is not None
+        ticked, given = bool(self.finished.value), self.calibration_file is not None
         self.modes_note.setVisible(layer is not None and are_finished_images(layer, ticked=ticked, calibrated=given))
         self.going_live.text = cancels or ("Stop live" if live else "Live mosaic")
         self.going_live.enabled = bool(cancels) or not (busy or requesting)

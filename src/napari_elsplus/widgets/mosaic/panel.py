@@ -103,7 +103,7 @@ class MosaicPanel(EnginePanel):
         An unsaved live mosaic is replaced only if the user agrees, since it cannot be made again.
         """
         with notify_errors(self):
-            chosen, path = self._chosen(), self.form.calibration.value
+            chosen, path = self._chosen(), self.form.calibration_file
             note_folder(provenance_of(chosen.metadata).get("path"))
             given = None if path is None else read_calibration(path)
             source = source_of(chosen, given, path, finished=bool(self.form.finished.value))
@@ -242,7 +242,7 @@ class MosaicPanel(EnginePanel):
     def copy_script(self) -> None:
         """Copy a script that makes and saves these mosaics to the clipboard."""
         with notify_errors(self):
-            given = self.form.calibration.value
+            given = self.form.calibration_file
             facts = provenance_of(self._chosen().metadata)
             if facts.get("kind") != "raw":
                 raise InputError("these images are not a raw recording", "select a raw recording for a script")
