@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,12 +35,20 @@ def choose_file_to_write(parent: QWidget, title: str, name: str, kinds: str, act
     name : str
         Suggested name.
     kinds : str
-        Filter of the dialog.
+        Filter of the dialog; a name without a suffix has that of the kind that is chosen there.
     act : callable
         Called with the path.
     """
     suggested = name if _last is None else str(_last / name)
-    _act(QFileDialog.getSaveFileName(parent, title, suggested, kinds)[0], act)
+    chosen, kind = QFileDialog.getSaveFileName(parent, title, suggested, kinds)
+    endings = re.findall(r"\*(\.[\w.]+)", kind)
+    if chosen and endings and not Path(chosen).suffix:
+        chosen += endings[0]
+        if Path(chosen).exists():  # the dialog, again, asks before it is replaced
+            note_folder(Path(chosen))
+            choose_file_to_write(parent, title, Path(chosen).name, kinds, act)
+            return
+    _act(chosen, act)
 
 
 def choose_file_to_read(parent: QWidget, title: str, kinds: str, act: Callable[[Path], object]) -> None:
