@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import napari
 import numpy as np
+import pint
 from napari.layers import Shapes
 from napari.utils.notifications import show_warning
 from qtpy.QtCore import QEventLoop, QTimer
@@ -57,6 +58,15 @@ def fit_visible_layers(viewer: napari.Viewer, parts: Mapping[Layer, NDArray[np.f
     low, high = np.min(extents, axis=(0, 1)), np.max(extents, axis=(0, 1))
     viewer.scene.camera.center = tuple((low + high) / 2)
     viewer.scene.camera.zoom = FILLED * float((viewer.canvas.size / np.maximum(high - low, 1e-9)).min())
+
+
+def change_layer(layer: Layer, **values: Any) -> None:
+    """Set attributes of a layer to `values` but those that it has: napari draws and lists the layer anew each time."""
+    for name, value in values.items():
+        wanted = tuple(map(pint.Unit, value)) if name == "units" else value
+        present = getattr(layer, name)
+        if (tuple(present) if isinstance(value, tuple) else present) != wanted:
+            setattr(layer, name, value)
 
 
 def remove_layers(viewer: napari.Viewer, layers: Sequence[Layer]) -> None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import pytest
 
+from napari_elsplus.diagnosis.rehearsal.rehearse import faults
+
 PLUGIN = "napari-elsplus"
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_fault_is_rehearsed_in_the_window_and_shown_in_a_table(make_napari_viewer_proxy, qtbot, small_engine) -> None:
+def test_a_fault_is_rehearsed_in_the_window_and_shown_in_a_table(
+    make_napari_viewer_proxy, qtbot, small_engine, monkeypatch
+) -> None:
+    chosen = faults(["strobe-lost"])
+    monkeypatch.setattr("napari_elsplus.diagnosis.rehearsal.rehearse.faults", lambda: chosen)
     _, panel = make_napari_viewer_proxy().window.add_plugin_dock_widget(PLUGIN, "Rig")
     rehearsal = panel.rehearsal
-    rehearsal._names = ["strobe-lost"]
     assert rehearsal.button.enabled
     rehearsal.button.native.click()
     assert not rehearsal.button.enabled

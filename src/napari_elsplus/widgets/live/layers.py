@@ -11,7 +11,7 @@ import numpy as np
 import pint
 from napari.layers import Image, Layer, Points
 
-from napari_elsplus._view import fit_visible_layers
+from napari_elsplus._view import change_layer, fit_visible_layers
 from napari_elsplus.acquisition.engine.live_images import RAW
 from napari_elsplus.instrument.calibration import utc_now
 from napari_elsplus.io.formats.ome_xml import SOFTWARE
@@ -156,7 +156,7 @@ class LiveLayers:
         shown = {kind: shapes[kind] for kind in KINDS if kind in kinds and kind in shapes}
         corners = _corners_px({kind: shape for kind, (shape, _) in shown.items()}, side_by_side=side_by_side)
         for kind, image in self.images.items():
-            _change(image, "visible", kind in shown)
+            change_layer(image, visible=kind in shown)
         for kind, (shape, dtype) in shown.items():
             layer = self.images.get(kind)
             if layer is not None and layer.data.shape != shape:
@@ -173,8 +173,7 @@ class LiveLayers:
                 self._add(kind, shape, dtype, {**place, "metadata": {PROVENANCE: facts}})
                 complete = False
             elif layer is not None:
-                for name, value in place.items():
-                    _change(layer, name, value)
+                change_layer(layer, **place)
                 layer.metadata[PROVENANCE] = facts | {LAYER: layer.unique_id}
         self._last_sequence = -1
         if complete or self._titles in self._viewer.layers:
@@ -255,8 +254,7 @@ class LiveLayers:
             written = self._titles.data.tolist(), self._titles.features["title"].tolist()
             if written != (data.tolist(), list(corners)):
                 self._titles.data, self._titles.features = data, attributes["features"]
-            for name, value in (("visible", True), ("scale", place["scale"]), ("units", place["units"])):
-                _change(self._titles, name, value)
+            change_layer(self._titles, visible=True, scale=place["scale"], units=place["units"])
         elif corners:
             self._titles = Points(data, **attributes)
             self._titles.editable = False
@@ -274,14 +272,6 @@ class LiveLayers:
         self._layers[kind] = layer
         self._unscaled.add(kind)
         self._viewer.layers.append(layer)
-
-
-def _change(layer: Layer, name: str, value: Any) -> None:
-    """Set an attribute of a layer unless it has that value: napari draws and lists the layer anew each time."""
-    wanted = tuple(map(pint.Unit, value)) if name == "units" else value
-    present = getattr(layer, name)
-    if (tuple(present) if isinstance(value, tuple) else present) != wanted:
-        setattr(layer, name, value)
 
 
 def _corners_px(shapes: Mapping[str, tuple[int, ...]], *, side_by_side: bool) -> dict[str, tuple[int, int]]:

@@ -28,17 +28,10 @@ NOTICE: Final = "For research use. Parking by software replaces no hardware inte
 
 
 class Rehearsal(QWidget):
-    """A button that runs `napari_elsplus.diagnosis.rehearsal` in a thread, and shows its table.
+    """A button that runs `napari_elsplus.diagnosis.rehearsal` in a thread, and shows its table."""
 
-    Parameters
-    ----------
-    names : sequence of str
-        Faults to rehearse; all by default.
-    """
-
-    def __init__(self, names: Sequence[str] = ()) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._names = names
         self._allowed = True
         self.button = push_button("Rehearse faults", self.start, TOOLTIP)
         self.work = Work(self._ended)
@@ -58,7 +51,7 @@ class Rehearsal(QWidget):
         """Rehearse in a thread."""
         from napari_elsplus.diagnosis.rehearsal.rehearse import faults  # loads more than a panel needs
 
-        chosen = faults(self._names)
+        chosen = faults()
 
         def play() -> list[Row]:
             return [fault.rehearse() for fault in self.work.progress(chosen)]

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from napari.layers import Image
 
+from napari_elsplus._view import change_layer
 from napari_elsplus.processing.mosaicing.coverage import CELL_PX
-from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, QUALITY, set_translation
+from napari_elsplus.widgets.mosaic.own_layers import COVERAGE, QUALITY
 from napari_elsplus.widgets.mosaic.track_layers import SCORES
 
 if TYPE_CHECKING:
@@ -63,8 +64,6 @@ def draw_maps(own: OwnLayers, maps: Coverage, place: tuple[float, float]) -> Non
             layer.refresh(extent=False, highlight=False)
         elif not made:
             layer.data = data
-        if kind == COVERAGE and layer.contrast_limits != list(limits):
-            layer.contrast_limits = limits
-        if tuple(layer.scale) != (cell, cell):
-            layer.scale = cell, cell
-        set_translation(layer, corner)
+        if kind == COVERAGE:
+            change_layer(layer, contrast_limits=limits)
+        change_layer(layer, scale=(cell, cell), translate=corner)

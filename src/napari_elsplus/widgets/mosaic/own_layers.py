@@ -125,20 +125,6 @@ class OwnLayers:
         self._viewer.canvas.overlays.scale_bar.visible = True
 
 
-def set_translation(layer: Layer, place: tuple[float, float]) -> None:
-    """Translate a layer, if its position differs: each change makes napari compute all extents.
-
-    Parameters
-    ----------
-    layer : napari.layers.Layer
-        The layer.
-    place : tuple of float
-        World position (row, col).
-    """
-    if tuple(layer.translate) != place:
-        layer.translate = place
-
-
 def _height(kind: str) -> int:
     """Return the position of a kind above the images, which are at 0."""
     return 1 + _ABOVE_IMAGES.index(kind) if kind in _ABOVE_IMAGES else 0

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from napari.layers import Points, Vectors
 
+from napari_elsplus._view import change_layer
 from napari_elsplus.viewing.mosaic.track import BEGINS, LOST, PREDICTED
-from napari_elsplus.widgets.mosaic.own_layers import MARKS, TRACK, set_translation
+from napari_elsplus.widgets.mosaic.own_layers import MARKS, TRACK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,10 +63,7 @@ def _draw_lines(own: OwnLayers, drawn: TrackGeometry, place: tuple[float, float]
         layer.data = drawn.lines
         layer.features = features
         layer.refresh_colors()
-    set_translation(layer, place)
-    width = max(2.0, _LINE_SHARE * span_px)
-    if layer.edge_width != width:
-        layer.edge_width = width
+    change_layer(layer, translate=place, edge_width=max(2.0, _LINE_SHARE * span_px))
 
 
 def _draw_marks(own: OwnLayers, drawn: TrackGeometry, place: tuple[float, float], span_px: int) -> None:
@@ -90,7 +88,7 @@ def _draw_marks(own: OwnLayers, drawn: TrackGeometry, place: tuple[float, float]
             layer.features = features
             layer.symbol, layer.face_color, layer.border_color = symbols, colours, colours
         layer.size = max(8.0, _MARK_SHARE * span_px)
-    set_translation(layer, place)
+    change_layer(layer, translate=place)
 
 
 def _alike(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
