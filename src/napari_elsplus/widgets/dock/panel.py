@@ -11,6 +11,7 @@ from napari_elsplus.widgets.dock.status_line import StatusLine
 from napari_elsplus.widgets.dock.tab import MIN_WIDTH_PX, PanelKind, Tab
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import timer
+from napari_elsplus.widgets.shared.window.garbage import leave_out_present_objects
 from napari_elsplus.widgets.shared.window.scrolling import width_limit_px
 
 if TYPE_CHECKING:
@@ -122,3 +123,4 @@ class ElsPlusDock(EnginePanel):
             waiting[0].build()
         else:
             self._idle.stop()
+            leave_out_present_objects(self.viewer)

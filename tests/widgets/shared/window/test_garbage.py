@@ -34,3 +34,12 @@ def test_the_memory_of_a_layer_that_was_there_before_the_panel_is_released(viewe
     del data, layer
     viewer.layers.remove(viewer.add_image(np.zeros((4, 4))))
     assert held() is None
+
+
+def test_layers_of_a_sample_are_left_out(viewer):
+    """It is opened while the panels are built."""
+    viewer.open_sample(PLUGIN, "recording")
+    viewer.window.add_plugin_dock_widget(PLUGIN, "Quality")
+    for name in ("fibres ELS+", "fibres titles"):
+        viewer.layers.remove(name)
+        assert gc.get_freeze_count() > 0

@@ -10,17 +10,33 @@ import gc
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
+from napari_elsplus.viewing.provenance import GIVES_WAY, provenance_of
+
 if TYPE_CHECKING:
     import napari.viewer
+    from napari.layers import Layer
 
 
 def leave_out_present_objects(viewer: napari.viewer.Viewer) -> None:
-    """Leave out what exists, until ``gc.unfreeze`` or until one of the layers that `viewer` has now is removed."""
-    before = WeakSet(viewer.layers)
+    """Leave out what exists, until ``gc.unfreeze``.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+        If one of its present layers is removed that may hold a file or large data, all is searched again.
+    """
+    before = WeakSet(layer for layer in viewer.layers if not _is_simulated(layer))
 
     def search_all(event: Any) -> None:
-        if event.value in before:  # its data may be large
+        if event.value in before:
             gc.unfreeze()
 
     viewer.layers.events.removed.connect(search_all, position="first")  # before napari collects
     gc.freeze()
+
+
+def _is_simulated(layer: Layer) -> bool:
+    """Return True for a layer of a sample or of live images, which holds neither a file nor large data."""
+    facts = provenance_of(layer.metadata)
+    stack = facts.get("stack")
+    return GIVES_WAY in facts if stack is None else stack.recording is None
