@@ -74,6 +74,20 @@ def test_a_comparison_is_of_one_frame_also_where_three_dimensions_were_displayed
     assert state(viewer) == before
 
 
+def test_what_cannot_be_compared_is_not_selected(viewer, panel, qtbot):
+    """Before: the core filter that needs a flat field stayed selected above images without any filter."""
+    press(panel, qtbot)
+    panel.cores.value = "gaussian"
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
+    assert "needs a flat field" in problems.newest
+    assert names(viewer) == OURS
+    assert panel.cores.value == "none"
+    panel.view.value = BLINK
+    qtbot.waitUntil(lambda: not panel.work.busy, timeout=LONG_MS)
+    assert (panel.cores.value, panel.view.value, panel.recording.value) == ("none", BLINK, "scan raw")
+    problems.dismiss()
+
+
 def test_the_window_answers_between_the_layers(viewer, panel, qtbot):
     """Before: the window stood still until all layers were there, and longer until they were gone."""
     events = []

@@ -84,6 +84,7 @@ class ComparePanel(AnalysisPanel):
         super().__init__(viewer, "position along the line / px", "grey levels")
         self._comparison: Comparison | None = None
         self._source: Image | None = None
+        self._displayed: list[tuple[ComboBox, str]] = []
         self.display = ComparisonLayers(viewer, self._schedule_refresh)
         self._build()
         self._refresh = timer(self, REFRESH_MS, self.show_numbers, once=True)
@@ -237,6 +238,7 @@ class ComparePanel(AnalysisPanel):
                 self.end()
             apart = self.view.value != BLINK
             self._comparison, self._source = comparison, source.layer
+            self._displayed = [(choice, choice.value) for choice in (self.cores, self.view)]
             self.display.begin(compared, source.stack, source.calibration, apart=apart, line=line)
             if not self.comparing:
                 return  # ended while the window answered
@@ -315,6 +317,11 @@ class ComparePanel(AnalysisPanel):
         set_enabled(self.save_figure, self.comparing and idle, figure, reason)
 
     def _work_ended(self) -> None:
+        if self.comparing and self._source is not None:  # what failed, or was cancelled, is not selected
+            self.recording.select(self._source)
+            for choice, value in self._displayed:
+                with choice.changed.blocked():
+                    choice.value = value
         super()._work_ended()
         self.show_numbers()
 

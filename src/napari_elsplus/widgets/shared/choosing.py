@@ -85,10 +85,16 @@ class LayerChoice(ComboBox):
             opened = [layer for layer in offered if layer not in self._known]
             self._known = offered
             layer = opened[-1] if newest and opened else self._layer
-            if layer is not None and layer in self._viewer.layers and layer.name in self.choices:
-                self.value, self._layer = layer.name, layer
-            else:
+            if layer is None or not self.select(layer):
                 self._note_layer()
+
+    def select(self, layer: Layer) -> bool:
+        """Choose a `layer` without a changed signal; return False if it is not offered."""
+        offered = layer in self._viewer.layers and layer.name in self.choices
+        if offered:
+            with self.changed.blocked():
+                self.value, self._layer = layer.name, layer
+        return offered
 
     def _note_layer(self) -> None:
         chosen = (layer for layer in self._viewer.layers if layer.name == self.value)
