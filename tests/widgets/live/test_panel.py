@@ -208,9 +208,21 @@ def test_start_displays_images_after_all_were_removed(viewer, panel, qtbot):
 
 def test_a_view_that_cannot_be_made_is_said_and_the_stream_goes_on(panel, qtbot, said):
     start(panel, qtbot)
+    panel.form.average.value = 3
     panel.form.flat_field.value = True
     qtbot.waitUntil(lambda: any("no flat field" in words for _, words in said()), timeout=30_000)
     assert panel.live
+    qtbot.waitUntil(lambda: not panel.requests.busy, timeout=30_000)
+    assert (panel.form.flat_field.value, panel.form.average.value) == (False, 3), "before: ticked above images without"
+    assert (recall("live")["flat_field"], recall("live")["average"]) == (False, 3)
+    panel.form.cores.value = "gaussian"
+    qtbot.waitUntil(lambda: panel.form.cores.value == "none", timeout=30_000)
+    stop(panel, qtbot)
+    with panel.form.flat_field.changed.blocked():
+        panel.form.flat_field.value = True  # as of another session, whose calibration had one
+    panel.form.start.native.click()
+    qtbot.waitUntil(lambda: not panel.form.flat_field.value, timeout=30_000)
+    start(panel, qtbot)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")

@@ -160,6 +160,13 @@ class LiveForm:
             row_reference=self.row_reference.value,
         )  # fmt: skip
 
+    @view.setter
+    def view(self, view: LiveView) -> None:
+        for name in ("background", "flat_field", "cores", "average", "row_reference"):
+            field = getattr(self, name)
+            with field.changed.blocked():
+                field.value = getattr(view, name)
+
     def next_path(self, kind: str) -> Path:
         """Return the path of a new file in the folder, with the present time in its name.
 

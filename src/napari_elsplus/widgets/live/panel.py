@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +14,7 @@ from napari.utils.notifications import show_info
 from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus.acquisition.streaming.recorder import RecordingPlan
 from napari_elsplus.instrument.scanning import lag_advice
+from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
 from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead, read_units
@@ -24,8 +26,11 @@ from napari_elsplus.widgets.shared.window.canvas_monitor import CanvasMonitor
 from napari_elsplus.widgets.shared.window.layer_list import LayerListModels
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import napari.viewer
 
+    from napari_elsplus.acquisition.engine.live_images import LiveView
     from napari_elsplus.acquisition.engine.status import Status
     from napari_elsplus.acquisition.link.client import EngineClient
     from napari_elsplus.instrument.calibration import Calibration
@@ -55,6 +60,7 @@ class LivePanel(EnginePanel):
         timer(self, 0, read_units, once=True, starts=True)
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
+        self._view: LiveView | None = None
         self._faults_shown: set[str] = set()
         self._stream_ended = False
         self._arranged: tuple[object, ...] | None = None
@@ -129,10 +135,11 @@ class LivePanel(EnginePanel):
 
     def change_view(self) -> None:
         """Apply the form's processing to live images."""
-        self.form.remember()
         client = self.connection.client
-        if client is not None:
-            self.requests.follow(client.show(self.form.view))
+        if client is None:
+            self.form.remember()
+        else:
+            self._apply_view(client)
 
     def copy_script(self) -> None:
         """Copy a script that streams and records with the form's settings to the clipboard."""
@@ -188,7 +195,30 @@ class LivePanel(EnginePanel):
         super().cleanup()
 
     def _start(self, client: EngineClient) -> None:
-        self.requests.follow(client.show(self.form.view), lambda _: self.start_stream(client))
+        self._apply_view(client, lambda: self.start_stream(client))
+
+    def _apply_view(self, client: EngineClient, then: Callable[[], None] = lambda: None) -> None:
+        """Apply the form's processing, then go on; where it is refused, the form returns to the last.
+
+        Parameters
+        ----------
+        client : EngineClient
+            Of the connected rig.
+        then : callable
+            Called once it is accepted.
+        """
+        view = self.form.view
+
+        def accepted(_: None) -> None:
+            self._view = view
+            self.form.remember()
+            then()
+
+        self.requests.follow(client.show(view), accepted, failed=self._show_accepted)
+
+    def _show_accepted(self) -> None:
+        self.form.view = self._view or replace(self.form.view, flat_field=False, cores=CoreFilter.NONE)
+        self.form.remember()
 
     def _show_newest(self, client: EngineClient, now_s: float) -> None:
         ring = client.display()
