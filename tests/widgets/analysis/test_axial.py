@@ -9,6 +9,7 @@ import pytest
 from napari.layers import Image
 
 from depth_scan import DEPTH_UM, calibration, frames
+from napari_elsplus._problems import problems
 from napari_elsplus.io import write_calibration, write_column, write_images
 from napari_elsplus.processing.axial.axial_response import axial_response
 from napari_elsplus.viewing.axial import Scan
@@ -182,6 +183,13 @@ def test_several_simulated_scans_are_drawn_against_the_offset(panel, qtbot, monk
     panel.shown.value = "signal and depth"
     assert len(panel.plot.curves) == 5
     assert "&lt;58.0" in panel.numbers.text()
+    panel.scans.clear()
+    panel.scans.append(Scan("of an unknown slit", axial_response(depth, ls, 0.5 * ls), None, None))
+    panel.show_scans()
+    panel.shown.value = "slit width"
+    assert "slit width is known" in problems.newest
+    assert panel.plot.curves == (), "before: another plot remained"
+    problems.dismiss()
     assert STACK in panel.source.choices
 
 

@@ -127,6 +127,7 @@ class AxialResponsePanel(AnalysisPanel):
             curves, marks = response_curves(self.scans)
             self.plot.draw(curves, marks=marks, bottom="distance from contact / µm", left="signal / signal in contact")
         else:
+            self.plot.draw([])
             with notify_errors(self):
                 against = SlitParameter(self.shown.value)
                 curves = drop_off_curves(drop_offs(self.scans, against))
