@@ -484,6 +484,32 @@ def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_rec
     assert panel.unsaved() == ""
 
 
+@pytest.mark.parametrize("title", ["Calibration", "ELS+"])
+def test_closing_the_dock_with_an_unsaved_calibration_asks_and_may_be_cancelled(
+    viewer, qtbot, open_recording, questions, title
+):
+    """Before: a click on the dock's cross discarded all steps without a question."""
+    dock, widget = viewer.window.add_plugin_dock_widget(PLUGIN, title)
+    if title == "ELS+":
+        qtbot.waitUntil(lambda: all(tab.built for tab in widget.by_title.values()), timeout=60_000)
+    panel = widget.by_title["Calibration"].panel if title == "ELS+" else widget
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    questions.answer = False
+    viewer.window.remove_dock_widget(dock)
+    assert questions == ["The calibration was not saved. Discard it?"]
+    qtbot.waitUntil(lambda: widget.parent() is not None)
+    assert panel.session.sources
+    assert panel.form.undo.isEnabled()
+    again, same = viewer.window.add_plugin_dock_widget(PLUGIN, title)
+    assert same is widget
+    questions.answer = True
+    viewer.window.remove_dock_widget(again)
+    assert len(questions) == 2
+    _, new = viewer.window.add_plugin_dock_widget(PLUGIN, title)
+    assert new is not widget
+
+
 def test_accepting_goes_on_to_the_next_step_that_is_not_done(panel, qtbot, open_recording):
     from_file(qtbot, panel, "pair", open_recording / "transmission.tif")
     panel.form.accept.click()

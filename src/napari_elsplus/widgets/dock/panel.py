@@ -95,6 +95,10 @@ class ElsPlusDock(EnginePanel):
         self.status_line.update_from(self.connection)
         self._leave_room_for_title()
 
+    def lost_with_dock(self) -> str:
+        """Return the questions of the panels in the tabs; each asks for itself where the window is closed."""
+        return " ".join(tab.panel.unsaved() for tab in self.by_title.values() if tab.panel is not None).strip()
+
     def cleanup(self) -> None:
         """Release what the panels in the tabs use, then the engine and the viewer."""
         if not self._closed:

@@ -11,13 +11,23 @@ from weakref import WeakSet
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_info
 from qtpy.QtCore import QEvent, QTimer
-from qtpy.QtWidgets import QApplication, QFormLayout, QHBoxLayout, QLabel, QLayout, QLineEdit, QVBoxLayout, QWidget
+from qtpy.QtWidgets import (
+    QApplication,
+    QDockWidget,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLayout,
+    QLineEdit,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_elsplus._problems import notify_errors, problems
 from napari_elsplus.io.formats.registry import foreign_file
 from napari_elsplus.io.settings import recall
 from napari_elsplus.widgets.shared.files import note_folder
-from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter
+from napari_elsplus.widgets.shared.window.closing import WindowCloseFilter, may_discard
 from napari_elsplus.widgets.shared.window.garbage import leave_out_present_objects
 from napari_elsplus.widgets.shared.window.scrolling import PanelScrollArea
 
@@ -65,6 +75,7 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         super().__init__()
         self.viewer = viewer
         self._connections: list[tuple[Any, Callable[..., None]]] = []
+        self._dock_name = ""
         self.setAcceptDrops(True)
         self._window_end = WindowCloseFilter(self, self.cleanup, self.unsaved, self.saving)
 
@@ -84,6 +95,10 @@ class Panel(QWidget, metaclass=_OnePerViewer):
     def unsaved(self) -> str:
         """Return a question if closing the window would lose a result; else an empty string."""
         return ""
+
+    def lost_with_dock(self) -> str:
+        """Return a question if closing the panel's dock would lose a result; else an empty string."""
+        return self.unsaved()
 
     def saving(self) -> bool:
         """Return True while a result is being written, for which the window waits before it closes."""
@@ -122,10 +137,22 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         self._connections.clear()
 
     def event(self, event: QEvent | None) -> bool:
-        """Call :meth:`cleanup` when the dock releases the panel: napari removes its parent then."""
-        if event is not None and event.type() == QEvent.Type.ParentChange and self.parent() is None:
-            self.cleanup()
+        """Call :meth:`cleanup` when the dock is closed: napari removes the panel's parent then.
+
+        If something would be lost by that, and the user does not agree, the panel is docked again.
+        """
+        kind, dock = None if event is None else event.type(), self.parentWidget()
+        if kind == QEvent.Type.ParentAboutToChange and isinstance(dock, QDockWidget):
+            self._dock_name = dock.objectName()
+        if kind == QEvent.Type.ParentChange and dock is None and self in _present:
+            if may_discard(self, self.lost_with_dock()):
+                self.cleanup()
+            else:
+                QTimer.singleShot(0, self._dock_again)
         return bool(super().event(event))
+
+    def _dock_again(self) -> None:
+        self.viewer.window.add_dock_widget(self, name=self._dock_name, area="right")
 
 
 def find_panel(kind: type[P], viewer: napari.viewer.Viewer) -> P | None:
