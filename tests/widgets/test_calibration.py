@@ -482,6 +482,11 @@ def test_closing_with_an_unsaved_calibration_asks(viewer, panel, qtbot, open_rec
     assert window.isVisible()
     panel.save(tmp_path / "cal.json")
     assert panel.unsaved() == ""
+    from_file(qtbot, panel, "offset", open_recording / "line.tif")
+    panel.form.accept.click()
+    questions.answer = True
+    viewer.close()
+    assert len(questions) == 2, "and not once more where the window takes the dock with it"
 
 
 @pytest.mark.parametrize("title", ["Calibration", "ELS+"])
