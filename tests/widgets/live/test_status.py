@@ -113,7 +113,7 @@ def test_not_parked_is_said_until_it_is_parked_whatever_else_fails(live):
     assert newest_fault(replace(refusing, faults=faults[:1])) == f"{problem}: parking goes on"
 
 
-def test_the_newest_of_faults_and_errors_is_displayed_and_a_dismissed_fault_hides_none(qtbot):
+def test_a_fault_of_the_stream_hides_no_error_also_after_it_was_dismissed(qtbot):
     """Before: a fault of the stream stood in the line until the next stream, also dismissed, and hid all errors."""
     fault = Fault("camera", "it was unplugged", "plug it in", 0.0)
     client = SimpleNamespace(status=Status(faults=(fault,)))
@@ -129,7 +129,10 @@ def test_the_newest_of_faults_and_errors_is_displayed_and_a_dismissed_fault_hide
 
     assert "unplugged" in displayed()
     problems.remember("the disk is full: make room")
+    assert "unplugged" in displayed()
     assert "the disk is full" in displayed()
+    problems.remember(str(fault))
+    assert displayed().count("unplugged") == 1, "the Live panel reports it, too"
     problems.resolve()
     assert "unplugged" in displayed()
     line.dismiss.click()

@@ -43,8 +43,8 @@ class StatusLine(QWidget):
         layout.addWidget(self.state, 0, 0, 1, 2)
         layout.addWidget(self.problem, 1, 0)
         layout.addWidget(self.dismiss, 1, 1, Qt.AlignmentFlag.AlignTop)
-        self._messages: dict[str, str] = {}
-        self._dismissed = ""
+        self._messages: list[str] = []
+        self._fault = self._dismissed = ""
         self._show_problem()
 
     def update_from(self, connection: Connection) -> None:
@@ -64,27 +64,24 @@ class StatusLine(QWidget):
         first, *lacking = calibration_lines(calibration, active_calibration() if calibration is None else file)
         lines.append("; ".join([first, *lacking]))
         _set_text(self.state, "<br>".join(lines))
-        fault = str(connection.died or "") or newest_fault(status)
-        if fault != self._dismissed:
+        self._fault = str(connection.died or "") or newest_fault(status)
+        if self._fault != self._dismissed:
             self._dismissed = ""
-        found = {"fault": "" if self._dismissed else fault, "error": problems.newest}
-        changed = {kind: text for kind, text in found.items() if text != self._messages.get(kind, "")}
-        if changed:
-            kept = {kind: text for kind, text in self._messages.items() if kind not in changed}
-            self._messages = kept | changed  # the newest comes last
+        found = "" if self._dismissed else self._fault, problems.newest
+        messages = [text for text in dict.fromkeys(found) if text]
+        if messages != self._messages:
+            self._messages = messages
             self._show_problem()
 
     def _dismiss(self) -> None:
-        self._dismissed = self._messages.pop("fault", "") or self._dismissed
-        self._messages.clear()
+        self._dismissed, self._messages = self._fault, []
         problems.dismiss()
         self._show_problem()
 
     def _show_problem(self) -> None:
-        newest = next((text for text in reversed(self._messages.values()) if text), "")
-        self.problem.setText(f"{amber(WARNING)} {escape(newest)}" if newest else "")
-        self.problem.setVisible(bool(newest))
-        self.dismiss.setVisible(bool(newest))
+        self.problem.setText("<br>".join(f"{amber(WARNING)} {escape(text)}" for text in self._messages))
+        self.problem.setVisible(bool(self._messages))
+        self.dismiss.setVisible(bool(self._messages))
 
 
 def rig_line(rig: str | None, status: Status | None) -> str:
