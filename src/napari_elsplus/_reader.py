@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from napari.utils.notifications import show_info, show_warning
 
 from napari_elsplus._problems import notify_errors, problems
-from napari_elsplus._view import answer_during, open_in_viewer, prepare_shapes
+from napari_elsplus._view import answer_during, open_in_viewer, prepare_shapes, read_units
 from napari_elsplus.errors import InputError
 from napari_elsplus.io import settings
 from napari_elsplus.io.calibration_lookup import is_calibration
@@ -82,6 +82,7 @@ def read_calibration_file(path: str | Sequence[str]) -> list[tuple[Any, ...]]:
         for note in opened.notes:
             show_info(note)
         if opened.layers:
+            read_units()
             answer_during(prepare_shapes)
         layers += [tuple(layer) for layer in opened.layers]
     return layers or NO_LAYERS

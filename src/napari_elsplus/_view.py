@@ -139,8 +139,16 @@ def answer_during(work: Callable[[], None]) -> None:
     running.result()
 
 
+def read_units() -> None:
+    """Read pint's table of units, which napari needs for the first layer and reads for a third of a second.
+
+    Not in a thread: while a registry of units is read, it is wrong for whoever else uses it.
+    """
+    pint.Unit("pixel")
+
+
 def prepare_shapes() -> None:
-    """Compile the drawing of lines, rectangles and ellipses, outside of the window's thread.
+    """Compile the drawing of lines, rectangles and ellipses, outside of the window's thread, after :func:`read_units`.
 
     napari compiles it when the first shape is made: for 11 s, once on every installation.
     """

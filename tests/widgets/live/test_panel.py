@@ -722,13 +722,14 @@ def test_a_panel_imports_what_the_first_layers_need_before_they_are_created(make
     assert "pandas" in sys.modules
 
 
-def test_an_idle_panel_reads_the_units_that_the_first_layer_needs(make_napari_viewer_proxy, qtbot):
+@pytest.mark.parametrize("title", ["Live", "Calibration"])
+def test_an_idle_panel_reads_the_units_that_the_first_layer_needs(make_napari_viewer_proxy, qtbot, title):
     """Before: with the first live image, for a third of the time that the window stood still."""
     units = pint.get_application_registry()
     of_other_tests = units.get()
     units.set(LazyRegistry())
     try:
-        make_napari_viewer_proxy().window.add_plugin_dock_widget(PLUGIN, "Live")
+        make_napari_viewer_proxy().window.add_plugin_dock_widget(PLUGIN, title)
         qtbot.waitUntil(lambda: not isinstance(units.get(), LazyRegistry))
     finally:
         units.set(of_other_tests)

@@ -8,7 +8,6 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pint
 from napari.layers import Image, Layer, Points
 
 from napari_elsplus._view import change_layer, fit_visible_layers
@@ -54,14 +53,6 @@ def import_ahead() -> Thread:
     thread = Thread(target=import_module, args=("pandas",), name="import for layers")
     thread.start()
     return thread
-
-
-def read_units() -> None:
-    """Read pint's table of units, which napari needs for the first layer and reads for a third of a second.
-
-    Not in a thread: while a registry of units is read, it is wrong for whoever else uses it.
-    """
-    pint.Unit("pixel")
 
 
 class LiveLayers:

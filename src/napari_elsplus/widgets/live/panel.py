@@ -17,7 +17,7 @@ from napari_elsplus.instrument.scanning import lag_advice
 from napari_elsplus.processing.images.cores import CoreFilter
 from napari_elsplus.viewing.live_script import live_script
 from napari_elsplus.widgets.live.form import CONTINUOUS, FIXED, LiveForm
-from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead, read_units
+from napari_elsplus.widgets.live.layers import LiveLayers, import_ahead
 from napari_elsplus.widgets.live.status import status_text
 from napari_elsplus.widgets.shared.engine_panel import EnginePanel
 from napari_elsplus.widgets.shared.panel import copy_as_script, next_hint, timer
@@ -57,7 +57,6 @@ class LivePanel(EnginePanel):
     def __init__(self, viewer: napari.viewer.Viewer) -> None:
         super().__init__(viewer)
         import_ahead()
-        timer(self, 0, read_units, once=True, starts=True)
         self.layers = LiveLayers(viewer)
         self.canvas, self.layer_list = CanvasMonitor(self), LayerListModels(self)
         self._view: LiveView | None = None

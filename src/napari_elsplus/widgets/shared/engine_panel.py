@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 from napari.utils.notifications import show_info
 
 from napari_elsplus._problems import notify_errors
+from napari_elsplus._view import read_units
 from napari_elsplus.errors import InputError
 from napari_elsplus.hardware.rig_files import is_simulated
 from napari_elsplus.io.calibration_lookup import active_calibration_for_rig
 from napari_elsplus.widgets.shared.calibration_state import measured_lag
 from napari_elsplus.widgets.shared.connection import join
-from napari_elsplus.widgets.shared.panel import Panel
+from napari_elsplus.widgets.shared.panel import Panel, timer
 from napari_elsplus.widgets.shared.requests import PendingRequests
 from napari_elsplus.widgets.shared.rig_choice import remembered_rig, remembered_settings
 
@@ -46,6 +47,7 @@ class EnginePanel(Panel):
         super().__init__(viewer)
         self.connection = join()
         self.requests = PendingRequests(self, self.refresh)
+        timer(self, 0, read_units, once=True, starts=True)  # before a layer, or a thread that makes one, needs them
         self._closed = False
         self._leave = _once(self.connection.leave)
         self.destroyed.connect(self._leave)  # also where its window is closed before the panel was found docked in it
