@@ -152,7 +152,8 @@ class Panel(QWidget, metaclass=_OnePerViewer):
         return bool(super().event(event))
 
     def _dock_again(self) -> None:
-        self.viewer.window.add_dock_widget(self, name=self._dock_name, area="right")
+        if self.parent() is None:  # not docked by a script meanwhile
+            self.viewer.window.add_dock_widget(self, name=self._dock_name, area="right")
 
 
 def find_panel(kind: type[P], viewer: napari.viewer.Viewer) -> P | None:
