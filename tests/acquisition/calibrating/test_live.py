@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from napari_elsplus.acquisition.calibrating import live
-from napari_elsplus.acquisition.calibrating.capture import find_span
+from napari_elsplus.acquisition.calibrating.capture import find_span, take_frames
 from napari_elsplus.acquisition.calibrating.simulated import calibrate_simulated
 from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings
-from napari_elsplus.errors import InputError, MeasurementError
+from napari_elsplus.errors import DeviceError, InputError, MeasurementError
 from napari_elsplus.hardware.rigs import open_rig
 from napari_elsplus.hardware.scan.waveform import GalvoLimits
 from napari_elsplus.instrument.optics import preset
@@ -61,6 +61,38 @@ def test_a_sweep_by_a_known_galvo_map_stays_within_the_limits_of_the_rig(
     low, high = live.LiveMeasurement(engine)._span(Draft(calibration))
     monkeypatch.setattr(engine.galvo, "limits", GalvoLimits(min_v=low + 0.02, max_v=high - 0.01))
     assert live.LiveMeasurement(engine)._span(Draft(calibration)) == (low + 0.02, high - 0.01)
+
+
+def test_a_stream_that_was_begun_for_frames_ends_though_the_galvo_does_not_park(engine, rig, monkeypatch) -> None:
+    """Before: it went on, a line on the bundle in its frames."""
+
+    def refuse() -> None:
+        raise DeviceError("NOT PARKED: switch the laser off", "free the card")
+
+    monkeypatch.setattr(rig.scanner, "park", refuse)
+    with pytest.raises(DeviceError, match="NOT PARKED"):
+        take_frames(engine, lambda: None, 1)
+    monkeypatch.undo()
+    assert not engine.status().live
+
+
+@pytest.mark.parametrize("scan", [False, True])
+def test_after_a_calibration_that_fails_the_galvo_does_what_it_did_before(
+    engine, rig, calibration, monkeypatch, scan
+) -> None:
+    """Before: a galvo that had been parked while frames streamed scanned afterwards."""
+
+    def find_nothing(*_: object) -> None:
+        raise MeasurementError("no line", "is the laser on?")
+
+    monkeypatch.setattr(live.LiveMeasurement, "measure", find_nothing)
+    engine.use(calibration)
+    engine.start(scan=scan)
+    with pytest.raises(MeasurementError):
+        live.calibrate_rig(engine, lambda target: None)
+    assert engine.calibration is calibration
+    assert engine.status().scanning == scan
+    assert ("scan" in rig.scanner.calls) == scan
 
 
 def test_a_real_rig_does_not_calibrate_itself(rig: object, engine: Engine) -> None:

@@ -413,6 +413,24 @@ def test_a_mirror_that_scans_is_parked_when_nothing_says_how_to(
     assert rig.scanner.calls[-1] == "park"
 
 
+def test_a_hold_that_is_refused_leaves_the_scan_which_is_parked_where_nothing_says_how_to(
+    engine: Engine, rig: Any, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: no scan was claimed while the galvo scanned on, and without a calibration it went on."""
+
+    def refuse(volts: float) -> None:
+        raise InputError(f"{volts} V for the galvo", "the rig's limits are -2 to 2 V")
+
+    monkeypatch.setattr(rig.scanner, "hold", refuse)
+    engine.use(calibration)
+    engine.start()
+    with pytest.raises(InputError, match="9"):
+        engine.hold(9.0)
+    assert engine.status().scanning
+    engine.use(None)
+    assert rig.scanner.calls[-1] == "park"
+
+
 def test_a_ramp_that_is_impossible_leaves_the_scan_and_the_images_before(
     engine: Engine, rig: Any, calibration: Calibration
 ) -> None:

@@ -78,6 +78,15 @@ def test_replies_come_though_the_status_fails(monkeypatch) -> None:
     assert [str(error) for error in printed] == ["a defect in the status"]
 
 
+def test_a_rig_without_an_engine_is_closed(rig, monkeypatch) -> None:
+    """Before: its card and its camera stayed in use, and its guardian on guard."""
+    monkeypatch.setattr(rig.scanner, "on_park_state", failing)
+    session = Session(lambda _: rig)
+    with pytest.raises(RuntimeError):
+        session.open("small")
+    assert rig.scanner.calls[-1] == "close"
+
+
 def test_a_frozen_window_parks_though_the_status_fails(rig, monkeypatch) -> None:
     """Before: the supervision ended with the error, the galvo went on."""
     session = Session(lambda _: rig)
@@ -327,6 +336,14 @@ def test_a_request_that_cannot_be_read_ends_the_process_in_order(served: Served,
     assert not served.thread.is_alive()
     assert served.ended_by
     assert rig.scanner.calls[-1] == "close"
+
+
+def test_a_result_that_cannot_be_sent_is_an_error_of_its_command(served: Served, monkeypatch) -> None:
+    """Before: the client waited for it without end; another package's step may find anything."""
+    monkeypatch.setattr(sys, "excepthook", lambda *_: None)
+    monkeypatch.setattr(LiveMeasurement, "measure", lambda *_: Event())
+    with pytest.raises(RuntimeError, match="measure_step"):
+        served.call("measure_step", GALVO, Draft(), 50)
 
 
 def test_the_supervision_goes_on_after_an_error_of_what_it_calls() -> None:

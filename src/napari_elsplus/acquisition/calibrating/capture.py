@@ -51,9 +51,11 @@ def streaming(engine: Engine) -> Iterator[None]:
             engine.start(scan=False)
         yield
     finally:
-        engine.park()
-        if not was_live:
-            engine.stop()
+        try:
+            engine.park()
+        finally:
+            if not was_live:
+                engine.stop()
 
 
 def settled_frames(engine: Engine, count: int, settled_s: float = MOVED_S) -> NDArray[np.uint8]:

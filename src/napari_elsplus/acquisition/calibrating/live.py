@@ -283,7 +283,8 @@ def calibrate_rig(
     DeviceError
         If camera or galvo fail.
     """
-    before, placed, draft = engine.calibration, None, Draft().with_bundle_um(bundle_um)
+    before, scanned = engine.calibration, engine.galvo.scanning
+    placed, draft = None, Draft().with_bundle_um(bundle_um)
     measurement = LiveMeasurement(engine, voltages, progress)
     engine.use(None)
     try:
@@ -296,6 +297,6 @@ def calibrate_rig(
             draft = step.accept(draft, measurement.measure(step, draft), engine_setup(engine))
         engine.use(draft.calibration)
     except BaseException:
-        engine.use(before)
+        engine.use(before, scan=scanned)
         raise
     return draft

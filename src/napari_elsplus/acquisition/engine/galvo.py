@@ -177,9 +177,12 @@ class GalvoController:
     def _move(self, move: Callable[[], None], scanned_by: Calibration | None = None) -> None:
         self._operations.check()
         self._check_guarded()
-        self.scanned_by = None
+        before, self.scanned_by = self.scanned_by, None
         try:
             move()
+        except InputError:  # nothing was put out: a scan goes on, unless it was parked meanwhile
+            self.scanned_by = before if self.park_state.stage is ParkStage.DRIVEN else None
+            raise
         except DeviceError:
             self._operations.check()  # interrupted: then that is the cause
             raise

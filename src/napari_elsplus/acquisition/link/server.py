@@ -10,6 +10,7 @@ in order: galvo parked, recording finished, memory released.
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 import time
@@ -107,12 +108,13 @@ class Server:
 
     def _execute(self, request: Request, given_s: float) -> None:
         try:
-            reply = Reply(request.number, execute(self._session, request, given_s))
+            reply = pickle.dumps(Reply(request.number, execute(self._session, request, given_s)))
         except (ElsPlusError, OSError) as error:
-            reply = Reply(request.number, error=error)
-        except Exception as error:  # noqa: BLE001 a defect of ours: the client shall have it, and not wait for ever
+            reply = pickle.dumps(Reply(request.number, error=error))
+        except Exception as error:  # noqa: BLE001 - a defect, or a result of no use: the client must not wait for ever
             sys.excepthook(type(error), error, error.__traceback__)
-            reply = Reply(request.number, error=RuntimeError(f"{type(error).__name__} in {request.name}: {error}"))
+            raised = RuntimeError(f"{type(error).__name__} in {request.name}: {error}")
+            reply = pickle.dumps(Reply(request.number, error=raised))
         finally:
             self._outstanding.remove(request)
         self._send(reply)
@@ -121,8 +123,8 @@ class Server:
         while not self._ended.wait(STATUS_PERIOD_S):
             self._send()
 
-    def _send(self, *replies: Reply) -> None:
-        """Send status, calibration if it has changed, and replies; an older status never follows a newer one."""
+    def _send(self, *replies: bytes) -> None:
+        """Send status, calibration if it has changed, and pickled replies; a status never follows a newer one."""
         try:
             with self._sending:
                 status = self._status()
@@ -133,7 +135,7 @@ class Server:
                     self._connection.send(Activated(calibration))
                     self._calibration = calibration
                 for reply in replies:
-                    self._connection.send(reply)
+                    self._connection.send_bytes(reply)
         except OSError:  # the client is gone; `serve` notices by itself
             self._ended.set()
 

@@ -174,7 +174,11 @@ class Session:
         with self._opening:
             self.close()
             opened = self._open_rig(rig)
-            engine = Engine(opened, make_ring=SharedRing.create)
+            try:
+                engine = Engine(opened, make_ring=SharedRing.create)
+            except BaseException:
+                opened.close()
+                raise
             self._opened, self._scanner = _Opened(opened, engine, LiveMosaic(engine)), opened.scanner
         settle_memory()
 

@@ -17,8 +17,8 @@ class Fault:
     Parameters
     ----------
     source : str
-        Part of the engine that failed: ``camera``, ``clock`` (the camera's), ``scanner``, ``processing``, ``tracking``,
-        ``recorder``, ``engine``.
+        Part of the engine that failed: ``camera``, ``clock`` (the camera's), ``scanner``, ``guardian``, ``processing``,
+        ``tracking``, ``recorder``, ``engine``.
     problem, remedy : str
         As of :class:`napari_elsplus.errors.ElsPlusError`.
     time_s : float
