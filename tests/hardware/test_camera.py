@@ -5,6 +5,7 @@ Frames, settings, and every fault of the bus.
 
 from __future__ import annotations
 
+import errno
 import sys
 import threading
 import time
@@ -13,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from usb.core import USBTimeoutError
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.protocols import Camera, Region
@@ -120,6 +122,46 @@ def test_what_the_camera_cannot_do_is_refused_with_its_limit(cameras, changes, t
         wanted = {"region": Region(262, 0, 524, 1328), "slit_rows": 3, "frame_rate_hz": 240} | changes
         with pytest.raises(InputError, match=told):
             camera.configure(wanted.pop("region"), **wanted)
+
+
+def test_a_camera_whose_settings_were_refused_half_way_does_not_start(cameras) -> None:
+    """Before: it started with the new region and rate, and the exposure that rates are set with."""
+    with cameras().open() as camera:
+        camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
+        with pytest.raises(InputError):
+            camera.configure(SMALL, slit_rows=10_000, frame_rate_hz=100)
+        with pytest.raises(DeviceError, match="not configured"):
+            camera.start()
+        camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
+        camera.start()
+        assert read_frames(camera, 1)
+
+
+def test_a_camera_that_refuses_to_acquire_does_not_stream(cameras, monkeypatch) -> None:
+    """Before: it counted as streaming after errors other than the device's, and could not be started any more."""
+
+    def refuse() -> None:
+        raise InputError("TLParamsLocked = 1", "the camera allows other values")
+
+    with cameras().open() as camera:
+        camera.configure(SMALL, slit_rows=3, frame_rate_hz=100)
+        with monkeypatch.context() as patched, pytest.raises(InputError):
+            patched.setattr(camera._features, "start", refuse)
+            camera.start()
+        camera.start()
+        assert read_frames(camera, 1)
+
+
+def test_a_camera_that_does_not_answer_requests_of_the_bus_is_one_line(cameras, monkeypatch) -> None:
+    """Before: a traceback, also of `doctor`."""
+
+    def time_out(*_: object) -> None:
+        raise USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+
+    bench = cameras()
+    monkeypatch.setattr(bench.bus, "get_configuration", time_out)
+    with pytest.raises(DeviceError, match="timed out: plug it in again"):
+        bench.open()
 
 
 def test_it_is_not_configured_while_it_streams_nor_read_while_it_does_not(cameras) -> None:

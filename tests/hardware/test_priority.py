@@ -64,6 +64,21 @@ def test_threads_that_hand_frames_to_each_other_share_a_core_which_others_leave(
     assert found == [(cores, 0), (1, Rank.CAMERA), (cores, Rank.REST)]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="policies of scheduling are those of Linux")
+def test_a_limit_below_the_priority_of_the_cameras_threads_is_no_real_time(monkeypatch) -> None:
+    """Before: those threads ended when they took their rank, and no frame came."""
+    asked: list[int] = []
+
+    def limited(_pid: int, _policy: int, parameters: os.sched_param) -> None:
+        if parameters.sched_priority > Rank.REST:
+            raise PermissionError
+        asked.append(parameters.sched_priority)
+
+    monkeypatch.setattr(os, "sched_setscheduler", limited)
+    assert not keep_pace()
+    assert not asked
+
+
 def test_only_young_garbage_is_collected_while_frames_stream() -> None:
     """A full collection stops every thread, the longer the more objects there are."""
     collected: list[int] = []

@@ -56,7 +56,7 @@ def keep_pace() -> bool:
     Returns
     -------
     bool
-        True if the system allowed it: on Linux for root, and with a ``rtprio`` limit.
+        True if the system allowed it: on Linux for root, and with a ``rtprio`` limit of 3 or more.
 
     Notes
     -----
@@ -66,7 +66,8 @@ def keep_pace() -> bool:
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     if sys.platform == "linux":
         with suppress(PermissionError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(Rank.REST))
+            for rank in (Rank.CAMERA, Rank.REST):  # under a lower limit no thread could take its rank later
+                os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(rank))
             return True
     return False
 

@@ -256,6 +256,7 @@ class U3vCamera(ClosedOnExit):
             raise DeviceError("the camera streams", "stop it before changing its settings")
         if slit_rows < 1:
             raise InputError(f"a slit of {slit_rows} rows", "give at least 1")
+        self._region = None
         self._features.configure(region, slit_rows * self.line_period_s, frame_rate_hz, gain_db)
         self._region, self._rate_hz = region, self._features.frame_rate_hz
 
@@ -281,7 +282,7 @@ class U3vCamera(ClosedOnExit):
         try:
             self._features.start()
             self._clock_zero_s = self._clock.zero_s()
-        except DeviceError:
+        except BaseException:
             self.stop()
             raise
 

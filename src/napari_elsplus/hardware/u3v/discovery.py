@@ -56,7 +56,7 @@ class Endpoints:
 
 @contextmanager
 def translate_usb_errors(what: str) -> Iterator[None]:
-    """Turn pyusb's exceptions into a `DeviceError` with a remedy; time-outs pass through.
+    """Turn pyusb's exceptions into a `DeviceError` with a remedy.
 
     Parameters
     ----------
@@ -66,14 +66,12 @@ def translate_usb_errors(what: str) -> Iterator[None]:
     Raises
     ------
     DeviceError
-        For every error of the bus but a time-out.
+        For every error of the bus.
     """
-    from usb.core import NoBackendError, USBError, USBTimeoutError
+    from usb.core import NoBackendError, USBError
 
     try:
         yield
-    except USBTimeoutError:
-        raise
     except NoBackendError as error:
         raise DeviceError("libusb is not installed, so no camera can be reached", "install libusb 1.0") from error
     except NotImplementedError as error:  # libusb's word on Windows for "another driver has it"
