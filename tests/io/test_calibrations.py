@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
-from napari_elsplus.io import ImageMetadata, open_recording, read_calibration, write_calibration, write_images
+from napari_elsplus.io import ImageMetadata, atomic, open_recording, read_calibration, write_calibration, write_images
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -143,6 +144,21 @@ def test_arrays_that_no_longer_belong_are_removed(tmp_path):
     write_calibration(tmp_path / "c.json", bare, force=True)
     assert read_calibration(tmp_path / "c.json").background is None
     assert [path.name for path in tmp_path.iterdir()] == ["c.json"]
+
+
+def test_arrays_of_a_record_that_cannot_be_replaced_stay(tmp_path, monkeypatch):
+    """Before: they were removed, and the record was left without its background."""
+    whole = Calibration.parse(FULL).model_copy(update=ARRAYS)
+    path = write_calibration(tmp_path / "c.json", whole)
+
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(atomic, "put_in_place", refuse)
+        with pytest.raises(OSError, match="No space"):
+            write_calibration(path, Calibration.parse(FULL), force=True)
+    assert read_calibration(path) == whole
 
 
 BAD = {

@@ -116,8 +116,8 @@ def write_calibration(path: str | os.PathLike[str], calibration: Calibration, fo
         if arrays:
             with replacing(beside, force=force) as npz_path, npz_path.open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **arrays)
-        else:
-            beside.unlink(missing_ok=True)
+    if not arrays:
+        beside.unlink(missing_ok=True)
     return path
 
 

@@ -1,4 +1,4 @@
-"""Text files: lines of those that a user names, and results in JSON."""
+"""Text files: lines of those that a user names, and JSON."""
 
 from __future__ import annotations
 
@@ -41,6 +41,14 @@ def read_lines(path: Path, remedy: str, max_bytes: int | None = None) -> list[st
         raise InputError(f"{path.name} is no text", remedy) from None
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})", "check the path and its permissions") from None
+
+
+def read_json(path: Path, remedy: str) -> Any:
+    """Return the content of a JSON file; parameters and errors as of :func:`read_lines`, also for what is no JSON."""
+    try:
+        return json.loads("\n".join(read_lines(path, remedy)))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path.name} is no JSON file", remedy) from None
 
 
 def write_json(

@@ -59,6 +59,7 @@ def test_too_few_or_unmoving_frames(
     ("plate", "problem"),
     [
         ("no json", "is no JSON file: name the one that `axial` wrote"),
+        ("[" * 100_000, "is no JSON file: name the one that `axial` wrote"),
         (json.dumps([1, 2]), "has no depths: name the JSON that `axial` wrote"),
         (json.dumps({"profiles": {"ls": [1.0, 0.5]}}), "no depths or no LS profile"),
         (json.dumps({"depth_um": [0, 9], "profiles": {"ls": [1.0, 0.5]}}), "at 2 depths up to 300 um: 5 are needed"),

@@ -160,5 +160,5 @@ def test_a_damaged_record_of_a_job_is_said_to_be(tmp_path: Path) -> None:
     made = job(tmp_path / "out")
     open_output(made)
     Path(made.output, RECORDS, "job.json").write_bytes(b"")
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match="is no JSON file"):
         open_output(made)

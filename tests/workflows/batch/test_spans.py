@@ -111,6 +111,8 @@ def test_a_batch_that_is_killed_anywhere_in_a_recording_makes_no_span_twice(
                 batch(recordings, out, file_format=file_format)
         assert not (out / "table.csv").exists()
     (out / RECORDS / "c" / ".deadbeef.spans" / name).mkdir(parents=True)  # of a worker that was killed at once
+    (out / RECORDS / "c" / "spans").mkdir()
+    (out / RECORDS / "c" / "spans" / "plan.json").write_bytes(b"")  # before: a plan that a disk lost was an error
     batch(recordings, out, file_format=file_format)
     assert filled == [("a", 0), ("a", 2), ("a", 2), ("c", 0), ("c", 2)]
     for recording in ("a", "c"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import click
@@ -29,15 +28,13 @@ def command(
 ) -> None:
     """Recommend slit and offset that suppress haze from a depth and keep enough of the signal."""
     from napari_elsplus.io import read_calibration, write_json
+    from napari_elsplus.io.text import read_json
     from napari_elsplus.workflows.recommendation.recommend import recommend
 
     refuse_outputs(output, force=force, inputs=(calibration, plate), suffixes={output: ".json"})
     measured = None
     if plate is not None:
-        try:
-            measured = json.loads(plate.read_text(encoding="utf-8"))
-        except ValueError:
-            raise InputError(f"{plate.name} is no JSON file", "name the one that `axial` wrote") from None
+        measured = read_json(plate, "name the one that `axial` wrote")
         if not isinstance(measured, dict):
             raise InputError(f"{plate.name} has no depths", "name the JSON that `axial` wrote")
     found = recommend(read_calibration(calibration), depth_um, keep, measured)

@@ -65,6 +65,7 @@ def recall_frames(key: str, like: Frames, rows: int, rows_alike: Callable[[Rows]
 def remember_frames(key: str, line_rows: Rows, frames: Frames) -> None:
     """Write the `frames` of a `key` for some line positions, and remove the oldest files beyond `MAX_FILES`.
 
+    What a killed program left unfinished is among them.
     A folder that refuses, and a disk that is nearly full, cost only time at the next start.
     """
     folder = _folder()
@@ -81,7 +82,7 @@ def remember_frames(key: str, line_rows: Rows, frames: Frames) -> None:
             unfinished.replace(path)
         finally:
             unfinished.unlink(missing_ok=True)
-        for old in sorted(folder.glob("frames-*.npy"), key=lambda file: file.stat().st_mtime)[:-MAX_FILES]:
+        for old in sorted(folder.glob("frames-*"), key=lambda file: file.stat().st_mtime)[:-MAX_FILES]:
             old.unlink(missing_ok=True)
 
 

@@ -7,7 +7,6 @@ job lies in the folder ``.batch`` of the output, the records of each recording i
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ from napari_elsplus.errors import InputError
 from napari_elsplus.io.atomic import real_path
 from napari_elsplus.io.calibration_lookup import calibration_beside
 from napari_elsplus.io.formats.registry import format_of_name, recording_stem, supported_recordings
-from napari_elsplus.io.text import read_lines, write_json
+from napari_elsplus.io.text import read_json, read_lines, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -127,8 +126,8 @@ class BatchItem:
     def recall(self, stage: str) -> Values | None:
         """Return what a stage has found, if an earlier run made its files of the same ones; else None."""
         try:
-            record = json.loads(self.record(stage).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            record = read_json(self.record(stage), "run the batch again")
+        except InputError:
             return None
         values: Values = record["values"]
         complete = all(file.exists() for file in self.files(stage))
@@ -202,11 +201,7 @@ def open_output(job: BatchJob) -> None:
     output, file = Path(job.output), Path(job.output, RECORDS, "job.json")
     described = {**asdict(job), "output": "", "calibration": _digest(job.calibration)}
     if file.exists():
-        try:
-            begun = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError:
-            raise InputError(f"{file} is damaged", "name another folder") from None
-        if begun != described:
+        if read_json(file, f"name another folder than {output}") != described:
             raise InputError(f"{output} holds the results of another job than {job.describe()}", "name another folder")
         return
     if output.exists() and not output.is_dir():

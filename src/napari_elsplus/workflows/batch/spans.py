@@ -6,13 +6,14 @@ flushed, until the last one is in it and it is renamed into place. A kill at any
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from napari_elsplus.errors import InputError
 from napari_elsplus.io import put_in_place, replacing, write_json
 from napari_elsplus.io.atomic import remove_unfinished
+from napari_elsplus.io.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,7 +99,7 @@ class SpannedImages:
         plan = self._plan() or {}
         values: Values = plan["values"]
         for start, stop in plan[SPANS]:
-            values |= json.loads(self._record(start, stop).read_text(encoding="utf-8"))
+            values |= read_json(self._record(start, stop), "run the batch again")
         if self.file.exists():  # else an earlier run was killed after renaming it
             put_in_place(self.file, self.item.images, self.folder / "replaced")
         self.item.remember("section", values, plan["input"])
@@ -107,8 +108,8 @@ class SpannedImages:
 
     def _plan(self) -> dict[str, Any] | None:
         try:
-            plan: dict[str, Any] = json.loads((self.folder / _PLAN).read_text(encoding="utf-8"))
-        except FileNotFoundError:
+            plan: dict[str, Any] = read_json(self.folder / _PLAN, "run the batch again")
+        except InputError:
             return None
         return plan
 
