@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import count
 from multiprocessing import Pipe
 from threading import Event, Thread
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,12 +18,14 @@ from napari_elsplus.acquisition.engine.engine import Engine
 from napari_elsplus.acquisition.engine.status import Settings, Status
 from napari_elsplus.acquisition.link.messages import QUIT, Reply, Request
 from napari_elsplus.acquisition.link.server import Server
-from napari_elsplus.acquisition.link.session import Session
+from napari_elsplus.acquisition.link.session import LiveMosaic, Session
 from napari_elsplus.acquisition.link.supervision import Supervision
+from napari_elsplus.acquisition.mosaic.tracking import TrackState
 from napari_elsplus.errors import CancelledError, DeviceError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.processing.calibration.draft import Draft
 from napari_elsplus.processing.calibration.steps import GALVO
+from napari_elsplus.workflows.mosaic_plan import MosaicPlan
 
 SOON_S = 10.0
 
@@ -85,6 +88,25 @@ def test_a_rig_without_an_engine_is_closed(rig, monkeypatch) -> None:
     with pytest.raises(RuntimeError):
         session.open("small")
     assert rig.scanner.calls[-1] == "close"
+
+
+def test_a_track_that_has_failed_does_not_run(engine: Engine, monkeypatch) -> None:
+    """Before: the mosaic was growing for ever, by the status."""
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("a defect in the tracker")
+
+    monkeypatch.setattr(sys, "excepthook", lambda *_: None)
+    mosaic = LiveMosaic(engine)
+    mosaic._track = SimpleNamespace(state=TrackState(MosaicPlan(), "", 1.0, 1.0, {}, None))
+    engine.track(SimpleNamespace(add=lambda raw, stamp: None))
+    engine.start(scan=False)
+    assert mosaic.state.running
+    engine.track(SimpleNamespace(add=fail))
+    end_s = time.monotonic() + SOON_S
+    while not engine.status().faults and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert not mosaic.state.running
 
 
 def test_a_frozen_window_parks_though_the_status_fails(rig, monkeypatch) -> None:

@@ -152,6 +152,11 @@ class Engine(ClosedOnExit):
                 self._run.processing.tracker = tracker
 
     @property
+    def tracking(self) -> bool:
+        """True while frames that stream are passed to a tracker; one that has failed receives none any more."""
+        return self._tracker is not None and (self._run is None or self._run.processing.tracker is self._tracker)
+
+    @property
     def calibration(self) -> Calibration | None:
         """The active calibration."""
         return self._display.calibration

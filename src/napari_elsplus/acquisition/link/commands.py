@@ -73,18 +73,15 @@ class Command(Generic[P, R]):
         return self if client is None else partial(client.call, self.run.__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class command:
-    """Make a command of the function that executes it; parameters as of `Command`."""
-
-    scheduling: Scheduling = Scheduling.CONCURRENT
-    needs_rig: bool = True
-    while_recording: bool = True
-    activates: bool = False
-
-    def __call__(self, run: Callable[Concatenate[Session, P], R]) -> Command[P, R]:
-        """Return the command."""
-        return Command(run, self.scheduling, self.needs_rig, self.while_recording, self.activates)
+def command(
+    scheduling: Scheduling = Scheduling.CONCURRENT,
+    *,
+    needs_rig: bool = True,
+    while_recording: bool = True,
+    activates: bool = False,
+) -> Callable[[Callable[Concatenate[Session, P], R]], Command[P, R]]:
+    """Return what makes a command of the function that executes it; parameters as of `Command`."""
+    return lambda run: Command(run, scheduling, needs_rig, while_recording, activates)
 
 
 class Commands:

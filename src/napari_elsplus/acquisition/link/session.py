@@ -44,13 +44,12 @@ class LiveMosaic:
         self._engine = engine
         self._lock = Lock()
         self._track: LiveTrack | None = None
-        self._runs = False
 
     @property
     def state(self) -> TrackState | None:
         """The track at this moment; None while there is none."""
         track = self._track
-        return None if track is None else replace(track.state, running=self._runs)
+        return None if track is None else replace(track.state, running=self._engine.tracking)
 
     def track(self, plan: MosaicPlan | None) -> None:
         """Begin a new mosaic by a plan; None ends tracking, all loops closed, and keeps the mosaic.
@@ -67,7 +66,6 @@ class LiveMosaic:
         with self._lock:
             if plan is None:
                 self._engine.track(None)
-                self._runs = False
                 if self._track is not None:
                     self._track.settle()
                 return
@@ -81,7 +79,7 @@ class LiveMosaic:
                 board.close()
                 raise
             self._engine.track(track)
-            before, self._track, self._runs = self._track, track, True
+            before, self._track = self._track, track
             if before is not None:
                 before.close()
 
@@ -94,7 +92,7 @@ class LiveMosaic:
         """End tracking, and release its memory."""
         with self._lock:
             self._engine.track(None)
-            track, self._track, self._runs = self._track, None, False
+            track, self._track = self._track, None
             if track is not None:
                 track.close()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,21 +25,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.hardware.virtual.camera.device import Shot
+    from napari_elsplus.hardware.virtual.card.card import VirtualCard
+    from napari_elsplus.hardware.virtual.card.process import RemoteCard
     from napari_elsplus.instrument.calibration import Calibration
-
-
-class Card(Protocol):
-    """The virtual card as the bench uses it, in this process or in one of its own."""
-
-    @property
-    def last_volts(self) -> float:
-        """The voltage on the output now."""
-
-    def strobe(self, train: StrobeTrain | None) -> None:
-        """Wire a train of edges to the strobe's terminal."""
-
-    def programs(self) -> list[Program]:
-        """Return what the output did lately."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +87,13 @@ class OpticalBench:
     ----------
     simulation : Simulation
         Scene, optics, galvo.
-    card : Card
-        The virtual card.
+    card : VirtualCard or RemoteCard
+        The virtual card, in this process or in one of its own.
     clock : BenchClock
         Clock of both.
     """
 
-    def __init__(self, simulation: Simulation, card: Card, clock: BenchClock) -> None:
+    def __init__(self, simulation: Simulation, card: VirtualCard | RemoteCard, clock: BenchClock) -> None:
         self.simulation, self.card, self.clock = simulation, card, clock
         self._lock = threading.Lock()
         self._frames: SceneFrames | None = None
