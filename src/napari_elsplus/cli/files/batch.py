@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -32,16 +32,7 @@ if TYPE_CHECKING:
 @click.option(
     "--workers", type=click.IntRange(1), help="Local worker processes, without --scheduler; one per core by default."
 )
-def command(
-    source: Path,
-    calibration: Path | None,
-    mode: str,
-    mosaic: bool,
-    file_format: str,
-    output: Path,
-    scheduler: str | None,
-    workers: int | None,
-) -> None:
+def command(source: Path, output: Path, **options: Any) -> None:
     """Section every recording of a folder, or of a text file with one path per line.
 
     Subfolders are not searched: name their recordings in a list.
@@ -52,11 +43,10 @@ def command(
     """
     from napari_elsplus.workflows.batch.run import batch
 
-    result = batch(
-        source, output, calibration=calibration, mode=mode, mosaic=mosaic, file_format=file_format,
-        scheduler=scheduler, workers=workers,
-        announce=lambda address: click.echo(f"dashboard: {address}", err=True), progress=progress,
-    )  # fmt: skip
+    def announce(address: str) -> None:
+        click.echo(f"dashboard: {address}", err=True)
+
+    result = batch(source, output, announce=announce, progress=progress, **options)
     for note in result.notes:
         click.echo(f"note: {note}")
     for row in result.failed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -65,12 +65,11 @@ def command(
     calibration: Path | None,
     mode: str | None,
     finished: bool,
-    method: str,
-    insertion: str,
     flat: Path | None,
     output: Path,
     track: Path | None,
     force: bool,
+    **options: Any,
 ) -> None:
     """Track the probe through RAW and insert its images into a mosaic."""
     from napari_elsplus.io import open_recording
@@ -87,10 +86,7 @@ def command(
     with open_recording(raw) as recording:
         otherwise = ", or give --finished for finished images"
         record = None if finished else calibration_of(recording, calibration, otherwise)
-        result = make_mosaic(
-            recording, record, mode, finished=finished, method=method, insertion=insertion, flat=even,
-            progress=progress,
-        )  # fmt: skip
+        result = make_mosaic(recording, record, mode, finished=finished, flat=even, progress=progress, **options)
     result.save(output, track, force=force)
     states = [row.state for row in result.track]
     click.echo(f"{tracked(result.track)}, {states.count('predicted')} predicted, {states.count('lost')} lost")

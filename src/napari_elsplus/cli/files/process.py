@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -55,17 +55,7 @@ if TYPE_CHECKING:
 )
 @output_option
 @force_option
-def command(
-    raw: Path,
-    calibration: Path | None,
-    mode: str,
-    cores: str,
-    flat_field: bool,
-    row_reference: bool,
-    row_power: bool,
-    output: Path,
-    force: bool,
-) -> None:
+def command(raw: Path, calibration: Path | None, output: Path, force: bool, **options: Any) -> None:
     """Section the raw frames of RAW: float32 grey levels, signed, written as OME-TIFF or OME-Zarr (T, n, n)."""
     from napari_elsplus.io import open_recording
     from napari_elsplus.io.formats.registry import format_to_write
@@ -74,14 +64,6 @@ def command(
     refuse_outputs(output, force=force, inputs=files_read(raw, calibration))
     format_to_write(output)
     with open_recording(raw) as recording:
-        images = section(
-            recording,
-            calibration_of(recording, calibration),
-            mode,
-            cores=cores,
-            flat_field=flat_field,
-            row_reference=row_reference,
-            row_power=row_power,
-        )
+        images = section(recording, calibration_of(recording, calibration), **options)
         images.save(output, force=force, progress=progress)
-    click.echo(f"{output}: {len(images)} {mode} images of {images.side} x {images.side} px")
+    click.echo(f"{output}: {len(images)} {images.mode.value} images of {images.side} x {images.side} px")

@@ -105,7 +105,6 @@ def command() -> None:
 @click.option("--scene-um-per-px", type=POSITIVE, help="Scale of an image file; a camera pixel's by default.")
 @click.option(
     "--path",
-    "path_name",
     cls=LazyHelp,
     default="hand",
     show_default=True,
@@ -120,21 +119,14 @@ def command() -> None:
 @imperfect_option
 @output_option
 @force_option
-def recording(
-    preset: str, scene_name: str, scene_um_per_px: float | None, path_name: str, speed_um_s: float, frames: int,
-    rate_hz: float | None, offset_um: float, slit_um: float | None, seed: int, imperfections: Imperfections,
-    output: Path, force: bool,
-) -> None:  # fmt: skip
+def recording(output: Path, force: bool, scene_name: str, path: str, frames: int, preset: str, **options: Any) -> None:
     """Simulate a moving probe: raw frames, NAME.truth.json, NAME.calibration.json."""
     from napari_elsplus.io.disk import require_room
     from napari_elsplus.workflows.simulated import simulate_recording
 
-    _refuse(output, force=force, inputs=[Path(name) for name in (scene_name, path_name) if Path(name).is_file()])
+    _refuse(output, force=force, inputs=[Path(name) for name in (scene_name, path) if Path(name).is_file()])
     require_room(output, frames * prod(PRESETS[preset].frame_shape))
-    simulated = simulate_recording(
-        preset=preset, scene_name=scene_name, scene_um_per_px=scene_um_per_px, path=path_name, speed_um_s=speed_um_s,
-        frames=frames, rate_hz=rate_hz, offset_um=offset_um, slit_um=slit_um, seed=seed, imperfections=imperfections,
-    )  # fmt: skip
+    simulated = simulate_recording(scene_name=scene_name, path=path, frames=frames, preset=preset, **options)
     _save(simulated, output, force=force)
 
 
@@ -146,17 +138,12 @@ def recording(
 @imperfect_option
 @output_option
 @force_option
-def axial(
-    slit_um: float, offset_um: float, state: str, seed: int, imperfections: Imperfections, output: Path, force: bool
-) -> None:
+def axial(output: Path, force: bool, **options: Any) -> None:
     """Simulate a scan of depths of a stained plate: raw frames, NAME.{depths.csv,calibration.json,truth.json}."""
     from napari_elsplus.workflows.simulated import simulate_axial_scan
 
     _refuse(output, force=force)
-    simulated = simulate_axial_scan(
-        slit_um=slit_um, offset_um=offset_um, state=state, seed=seed, imperfections=imperfections
-    )
-    _save(simulated, output, force=force)
+    _save(simulate_axial_scan(**options), output, force=force)
 
 
 @command.command()
@@ -168,17 +155,11 @@ def axial(
 @imperfect_option
 @click.option("-o", "--output", type=FILE, required=True, help="Folder to write into.")
 @force_option
-def calibration(
-    preset: str, offset_um: float, slit_um: float | None, state: str, seed: int, imperfections: Imperfections,
-    output: Path, force: bool,
-) -> None:  # fmt: skip
+def calibration(output: Path, force: bool, **options: Any) -> None:
     """Simulate the recordings of a calibration: line, sweep, transmission, background; and the truth, into a folder."""
     from napari_elsplus.workflows.simulated import simulate_calibration
 
-    simulated = simulate_calibration(
-        preset=preset, offset_um=offset_um, slit_um=slit_um, state=state, seed=seed, imperfections=imperfections
-    )
-    simulated.save(output, force=force, progress=progress)
+    simulate_calibration(**options).save(output, force=force, progress=progress)
     click.echo(f"wrote {output}")
 
 
