@@ -152,7 +152,6 @@ def simulate_recording(
     """
     if not 1 <= frames <= MAX_FRAMES:
         raise InputError(f"a recording of {frames} frames", f"give 1 to {MAX_FRAMES}, which can be read")
-    Imperfections.require(imperfections)
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, rate_hz=rate_hz, imperfections=imperfections
     )
@@ -201,7 +200,6 @@ def simulate_axial_scan(
     InputError
         If there is no depth, or one is not finite, no such line model, or the optics do not fit the camera region.
     """
-    Imperfections.require(imperfections)
     depths = scan_depths_um() if depth_um is None else np.asarray(depth_um, np.float64)
     if not (depths.size and np.isfinite(depths).all()):
         raise InputError(f"a scan of {depths.size} depths", "give one or more finite depths in micrometres")
@@ -302,7 +300,6 @@ def simulate_calibration(
     -------
     SimulatedCalibrationFrames
     """
-    Imperfections.require(imperfections)
     instrument = Instrument.of(
         preset, slit_um=slit_um, offset_um=offset_um, line=_line_model(state), imperfections=imperfections
     )

@@ -159,7 +159,7 @@ def model_response(
 
     Returns
     -------
-    Response
+    ModelResponse
         Arrays of the broadcast shape; confocal in contact is 1.
 
     References

@@ -118,6 +118,7 @@ class Instrument:
     imperfections: Imperfections = IDEAL
 
     def __post_init__(self) -> None:
+        Imperfections.require(self.imperfections)
         self._refuse_impossible_numbers()
         if self.slit_um > self.bundle.diameter_um:
             raise InputError(

@@ -64,7 +64,7 @@ class LineIllumination:
 
     Parameters
     ----------
-    scan : Scan
+    scan : LineScan
         Computes it.
     views : sequence of BundleView
         Confocal and residual view.

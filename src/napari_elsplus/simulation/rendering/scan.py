@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from napari_elsplus.simulation.rendering.views import BundleView
     from napari_elsplus.simulation.specimen.scenes import Plane, Scene
 
-_FAR_UM = 1e6
+_FAR_ROWS = 1e6
 """Lag, rows, that stands for a laser that is off: the line is beyond any bundle."""
 _NEGLIGIBLE = 1e-5
 """Fraction of the in-focus light below which no row shift is computed."""
@@ -50,7 +50,7 @@ class Term:
 
     plane: Plane
     parts: tuple[int, ...]
-    """Indices of `Scan.channels`; several, where they see the same."""
+    """Indices of `LineScan.channels`; several, where they see the same."""
     blur: Blur
 
 
@@ -261,7 +261,7 @@ class LineScan:
         rows = np.arange(instrument.frame_shape[0], dtype=np.float64)
         lag = np.zeros_like(rows) if line_rows is None else line_rows - rows
         speed = np.ones_like(rows) if line_rows is None else np.abs(np.gradient(line_rows))
-        lag = np.where(np.isfinite(lag), lag, _FAR_UM)
+        lag = np.where(np.isfinite(lag), lag, _FAR_ROWS)
         speed = np.where(np.isfinite(speed), speed, 1.0)
         offset_um, smear_um = np.empty((2, len(view.rows_px)))
         place_line(
