@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from threading import Event, Thread
+from threading import enumerate as threads
 from typing import Any
 
 import numpy as np
@@ -312,6 +313,31 @@ def test_a_fault_of_the_mirror_stops_the_stream(engine: Engine, rig: Any, calibr
     assert [fault.problem for fault in engine.status().faults] == ["the strobe was lost"]
     with pytest.raises(DeviceError, match="the strobe was lost"):  # the cause, not "no frames stream"
         engine.fresh_frames(1)
+
+
+@pytest.mark.parametrize("part", ["scanner.park", "camera.stop"])
+def test_a_driver_that_fails_with_another_error_than_those_of_devices_does_not_hold_up_the_stop(
+    engine: Engine, rig: Any, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    """Drivers from outside this package raise what they will. Before: the stream went on, and no error was stated."""
+    device, name = part.split(".")
+    call, failures = getattr(getattr(rig, device), name), [RuntimeError("handle is closed")]
+
+    def failing() -> None:
+        call()
+        if failures:
+            raise failures.pop()
+
+    monkeypatch.setattr(sys, "excepthook", lambda *_: None)
+    engine.start(scan=False)
+    engine.hold(0.2)
+    monkeypatch.setattr(getattr(rig, device), name, failing)
+    engine.stop()
+    assert not rig.camera.streams
+    assert {thread.name for thread in threads()}.isdisjoint({"camera", "processing"})
+    assert [(fault.source, fault.problem) for fault in engine.status().faults] == [
+        (device, "RuntimeError: handle is closed")
+    ]
 
 
 def test_other_settings_stop_the_scan_and_the_first_two_frames_are_not_used(

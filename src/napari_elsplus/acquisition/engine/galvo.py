@@ -135,7 +135,7 @@ class GalvoController:
         """Park; a failure is noted, and parking goes on."""
         try:
             self.park()
-        except DeviceError as error:
+        except Exception as error:  # noqa: BLE001 - drivers of others raise what they will
             self._faults.add("scanner", error)
 
     def close(self) -> None:

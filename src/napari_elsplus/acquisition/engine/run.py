@@ -131,7 +131,7 @@ class Run:
             self._camera_worker.join()
         try:
             self._camera.stop()
-        except DeviceError as error:
+        except Exception as error:  # noqa: BLE001 - drivers of others raise what they will
             self._faults.add("camera", error)
         self._stream.end()
         for worker in (self.processing, self._agreement):
