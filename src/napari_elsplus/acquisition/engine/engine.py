@@ -5,7 +5,7 @@ It runs inside a script and, for napari, in a process of its own (:mod:`napari_e
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from threading import RLock
 from typing import TYPE_CHECKING, Final
@@ -312,18 +312,17 @@ class Engine(ClosedOnExit):
             return
         self._closed = True
         self.operations.interrupt("the engine was closed")
-        try:
+        with ExitStack() as held:  # last in, first out, whatever fails
+            held.callback(self._release)
+            held.callback(self._watcher.stop)
             self.galvo.try_to_park()  # before whatever holds the lock, or the watch up
-            self._watcher.stop()
-        finally:
-            with self._lock:
-                try:
-                    self._end_run()
-                    self.finish_recording()
-                finally:
-                    self._rig.close()
-                    self.galvo.close()
-                    self._display.close()
+
+    def _release(self) -> None:
+        with self._lock, ExitStack() as held:
+            for release in (self._display.close, self.galvo.close, self._rig.close):
+                held.callback(release)
+            self._end_run()
+            self.finish_recording()
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
