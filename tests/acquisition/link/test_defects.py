@@ -90,6 +90,17 @@ def test_a_rig_without_an_engine_is_closed(rig, monkeypatch) -> None:
     assert rig.scanner.calls[-1] == "close"
 
 
+def test_a_rig_that_fails_as_it_is_closed_leaves_no_mosaic_in_memory(rig, monkeypatch) -> None:
+    """Before: the tracks of such rigs, and their shared memory, were kept as long as the engine's process."""
+    session, released = Session(lambda _: rig), Event()
+    session.open("small")
+    session.mosaic._track = SimpleNamespace(close=released.set)
+    monkeypatch.setattr(type(rig), "close", failing)
+    with pytest.raises(RuntimeError):
+        session.close()
+    assert released.is_set()
+
+
 def test_a_track_that_has_failed_does_not_run(engine: Engine, monkeypatch) -> None:
     """Before: the mosaic was growing for ever, by the status."""
 

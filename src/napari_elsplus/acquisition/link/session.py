@@ -185,8 +185,10 @@ class Session:
         opened, self._opened = self._opened, None
         self.cancel()
         if opened is not None:
-            opened.engine.close()
-            opened.mosaic.clear()
+            try:
+                opened.engine.close()
+            finally:
+                opened.mosaic.clear()
 
     @property
     def rig(self) -> Rig:
