@@ -49,14 +49,8 @@ class Command(Generic[P, R]):
     ----------
     run : callable
         Executed in the engine's process.
-    scheduling : Scheduling
-        When it is executed, if others run.
-    needs_rig : bool
-        Refused while no rig is open.
-    while_recording : bool
-        Allowed while frames are recorded.
-    activates : bool
-        Of a procedure: the calibration that it activated stays active; else that of before is restored.
+    scheduling, needs_rig, while_recording, activates
+        As of :func:`command`.
     """
 
     run: Callable[Concatenate[Session, P], R]
@@ -80,7 +74,19 @@ def command(
     while_recording: bool = True,
     activates: bool = False,
 ) -> Callable[[Callable[Concatenate[Session, P], R]], Command[P, R]]:
-    """Return what makes a command of the function that executes it; parameters as of `Command`."""
+    """Return what makes a command of the function that executes it.
+
+    Parameters
+    ----------
+    scheduling : Scheduling
+        When it is executed, if others run.
+    needs_rig : bool
+        Refused while no rig is open.
+    while_recording : bool
+        Allowed while frames are recorded.
+    activates : bool
+        Of a procedure: the calibration that it activated stays active; else that of before is restored.
+    """
     return lambda run: Command(run, scheduling, needs_rig, while_recording, activates)
 
 
