@@ -166,6 +166,7 @@ BAD = {
     "Infinity": '{"unknown": Infinity}',
     "1e999 is out of range": '{"unknown": 1e999}',
     "no napari-elsplus/calibration record": "[]",
+    "this is no napari-elsplus/calibration record": "{}",
     "version 999": '{"format": "napari-elsplus/calibration", "version": 999}',
     "residual_gain": json.dumps(FULL | {"bundle": FULL["bundle"] | {"residual_gain": 3.0}}),
     "diameter_px": json.dumps(FULL | {"bundle": FULL["bundle"] | {"diameter_px": 1e308}}),

@@ -284,8 +284,7 @@ class Calibration(Section):
             If it is no calibration, has a newer version, or contains NaN or impossible numbers.
         """
         own = cls.model_fields.keys() - {"version", "created"}  # which other files have, too
-        foreign = isinstance(content, dict) and bool(content) and content.keys().isdisjoint(own)
-        if not isinstance(content, dict) or foreign or content.get("format", FORMAT) != FORMAT:
+        if not isinstance(content, dict) or content.keys().isdisjoint(own) or content.get("format", FORMAT) != FORMAT:
             raise CalibrationError(f"this is no {FORMAT} record", "name the .json file that `calibrate` wrote")
         version = content.get("version", VERSION)
         if isinstance(version, int) and version > VERSION:
