@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from napari_elsplus.errors import CalibrationError, ElsPlusError, InputError
 from napari_elsplus.instrument.calibration import Calibration
 from napari_elsplus.io import ImageMetadata, atomic, open_recording, read_calibration, write_calibration, write_images
+from napari_elsplus.io.calibration_lookup import is_calibration
 from napari_elsplus.io.calibrations import parse_calibration
 
 FULL = {
@@ -199,6 +200,7 @@ def test_a_pipe_or_a_device_is_not_waited_for(tmp_path):
     """A pipe that nobody writes to was waited for without end, and of a device all memory was filled."""
     os.mkfifo(tmp_path / "pipe.json")
     for path in (tmp_path / "pipe.json", "/dev/zero"):
+        assert not is_calibration(path)
         with pytest.raises(CalibrationError, match="is no file"):
             read_calibration(path)
 

@@ -50,8 +50,11 @@ def existing_beside(recording: str | os.PathLike[str], ending: str) -> Path | No
 
 def is_calibration(path: str | os.PathLike[str]) -> bool:
     """Return True if the file at `path` declares itself a calibration; a broken one is refused when it is read."""
+    path = Path(path)
     try:
-        with Path(path).open("rb") as file:
+        if not path.is_file():  # a pipe would be waited for
+            return False
+        with path.open("rb") as file:
             return FORMAT.encode() in file.read(MAX_JSON_BYTES)
     except OSError:
         return False
