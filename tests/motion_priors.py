@@ -15,4 +15,4 @@ def about(shutter: RollingShutter, warp: Warp, stretch: float = STRETCH, shift_p
     before, after = shutter.velocities(warp)
     rows = shutter.line_periods_per_frame
     sigma = stretch * rows / 2**0.5 if isfinite(rows) else 1.0
-    return MotionPrior.between((before, after), shutter.displacement(warp, after), sigma, shift_px, shutter)
+    return MotionPrior.between((before, after), shutter.displacement(warp, after), (sigma, sigma), shift_px, shutter)

@@ -113,7 +113,9 @@ class _Ours:
 
     def _motion(self, displacement: tuple[float, float], sigma_px: float) -> MotionPrior:
         at_rest, shutter = Velocity(0.0, 0.0), self._registrar.grid.shutter
-        return MotionPrior.between((at_rest, at_rest), Displacement(*displacement), _VELOCITY_PX, sigma_px, shutter)
+        return MotionPrior.between(
+            (at_rest, at_rest), Displacement(*displacement), (_VELOCITY_PX, _VELOCITY_PX), sigma_px, shutter
+        )
 
     def _views(self, pair: Pair) -> tuple[PreparedFrame, PreparedFrame]:
         self._earlier.image[:], self._later.image[:] = pair.earlier, pair.later

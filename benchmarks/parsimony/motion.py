@@ -82,9 +82,9 @@ class _Linked:
         steady = shutter.warp(v, v, shutter.step(v, v))
         if self._rigid:
             at_rest, shift = Velocity(0.0, 0.0), Displacement(-steady.b, -steady.d)
-            motion = MotionPrior.between((at_rest, at_rest), shift, _RIGID_PX, _SHIFT_PX, shutter)
+            motion = MotionPrior.between((at_rest, at_rest), shift, (_RIGID_PX, _RIGID_PX), _SHIFT_PX, shutter)
         else:
-            motion = MotionPrior.between((v, v), shutter.step(v, v), _FREE_PX, _SHIFT_PX, shutter)
+            motion = MotionPrior.between((v, v), shutter.step(v, v), (_FREE_PX, _FREE_PX), _SHIFT_PX, shutter)
         link = self._registrar.register(*views, motion)
         assert link is not None
         return link

@@ -64,7 +64,7 @@ def test_stretch_and_shear_follow_the_shift() -> None:
 
 def test_a_global_shutter_has_no_stretch() -> None:
     shutter = RollingShutter(np.inf)
-    prior = MotionPrior.between((Velocity(3.0, 1.0),) * 2, Displacement(3.0, 1.0), 1.0, 2.0, shutter)
+    prior = MotionPrior.between((Velocity(3.0, 1.0),) * 2, Displacement(3.0, 1.0), (1.0, 1.0), 2.0, shutter)
     assert prior.terms[0] > 1e12
     row, col, variance = later_velocity(prior, shutter.warp(*prior[:3]), np.diag([1e18, 1e2, 1e18, 1e2]), WORK)
     assert (row, col) == pytest.approx((3.0, 1.0))

@@ -157,8 +157,8 @@ def test_frames_that_begin_segments_are_joined_only_if_they_correlate_as_they_do
     assert (nodes[0].frame, first.score) == (0, pose.score)
     register, expected = NodeRegistration(Registrar(front_end.grid)), Edge.between(0, 1, first, first)
     link = PairRegistration(Warp(1.0, 0.0, 0.0, 0.0), np.eye(4) * 1e4, first.score, 0.9, 100.0)
-    assert register.joins(link, (first, first), expected)
-    assert not register.joins(link._replace(correlation=0.54), (first, first), expected)
+    assert register.joins(link, (nodes[0], nodes[0]), expected)
+    assert not register.joins(link._replace(correlation=0.54), (nodes[0], nodes[0]), expected)
 
 
 def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:

@@ -28,9 +28,13 @@ def seen_at(scene: np.ndarray, places: list[tuple[float, float]], speed: tuple[f
 
 
 def segments_of_one(
-    truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0), model: MotionModel = MotionModel.TRANSLATION
-) -> tuple[PoseGraph, np.ndarray]:
-    """Return a graph of one segment for each frame, and the true positions, grid pixels."""
+    truths: list[Truth], speed: tuple[float, float] = (9.0, 14.0), model: MotionModel = MotionModel.TRANSLATION,
+    jolted: dict[int, tuple[float, float]] | None = None,
+) -> tuple[PoseGraph, np.ndarray]:  # fmt: skip
+    """Return a graph of one segment for each frame, and the true positions, grid pixels.
+
+    The velocities of nodes that are `jolted` are off by some pixels per frame period, and as uncertain.
+    """
     front_end = FrontEnd(truths[0].calibration, truths[0].frames.shape[1:])
     registrar = Registrar(front_end.grid)
     views: list[PreparedFrame] = []
@@ -40,8 +44,10 @@ def segments_of_one(
         view = registrar.view()
         front_end.image(frame, view.image)
         views.append(registrar.prepare(view))
-        pose = Pose(number, 0.0, 0.0, velocity, 0.97, 0.1, TrackingState.TRACKED)
-        graph.add(Node(number, pose, 0.0, np.eye(2), 1.0), model)
+        wrong = (jolted or {}).get(number, (0.0, 0.0))
+        tracked = Velocity(*np.add(velocity, wrong))
+        pose = Pose(number, 0.0, 0.0, tracked, 0.97, 0.1, TrackingState.TRACKED)
+        graph.add(Node(number, pose, 0.0, np.eye(2), 1.0, velocity_sigma=0.5 + np.hypot(*wrong)), model)
     graph.solve()
     return graph, np.concatenate([truth.positions for truth in truths]) / front_end.grid.binning
 
@@ -56,6 +62,16 @@ def test_segments_of_one_frame_that_overlap_are_joined() -> None:
     assert [place.segment for place in places_of(graph)] == [0, 0, 0, 0]
     found = np.array([(place.row, place.col) for place in places_of(graph)])
     np.testing.assert_allclose(found, true - true[0], atol=0.15)
+
+
+@pytest.mark.parametrize("node", [0, 1], ids=["the earlier", "the later"])
+def test_a_node_of_uncertain_velocity_is_joined_where_it_belongs(node: int) -> None:
+    """Before, it was off by the velocity's error times the part of a frame period by which rows are displaced."""
+    seen = seen_at(texture(700, 8), [(200.0, 200.0), (310.0, 240.0)])
+    graph, true = segments_of_one([seen], jolted={node: (-8.0, 7.0)})
+    first, second = places_of(graph)
+    assert second.segment == 0
+    assert abs(second.at - first.at - complex(*(true[1] - true[0]))) < 0.3
 
 
 def joined(scenes: list[np.ndarray], seed: int, model: MotionModel = MotionModel.TRANSLATION) -> int:

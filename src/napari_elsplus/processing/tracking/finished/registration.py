@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_elsplus.processing.tracking.finished.field import FinishedField
-    from napari_elsplus.processing.tracking.motion.pose import Pose
     from napari_elsplus.processing.tracking.pose_graph.edge import Edge
+    from napari_elsplus.processing.tracking.pose_graph.nodes import Node
 
 REFINED_DIAMETER_PX: Final = 240.0
 """Diameter to which fields are binned for the refinement, as raw frames are: finer than that, what is left of the cores
@@ -119,7 +119,7 @@ class FinishedRegistrar(Registrar):
         known = (_SEARCH_SIGMA_CELLS * cell_px) ** -2
         searched = PairRegistration(shift, np.diag([_RIGID, known, _RIGID, known]), found.correlation, 1.0)
         there = Displacement(-shift.b, -shift.d)
-        motion = MotionPrior.between((AT_REST, AT_REST), there, 0.0, 1.0, self.grid.shutter)
+        motion = MotionPrior.between((AT_REST, AT_REST), there, (0.0, 0.0), 1.0, self.grid.shutter)
         fine = self._refined(earlier, later, motion)  # where tissue deforms it may end elsewhere
         near = hypot(fine.warp.b - shift.b, fine.warp.d - shift.d) <= _REFINED_CELLS * cell_px
         link = fine if near and fine.correlation > 0 and np.isfinite(fine.covariance).all() else searched
@@ -132,12 +132,12 @@ class FinishedNodeRegistration(NodeRegistration):
 
     sure_odds_nats, noise_share = 0.0, 1.0
 
-    def joins(self, link: PairRegistration, poses: tuple[Pose, Pose], expected: Edge) -> bool:
+    def joins(self, link: PairRegistration, nodes: tuple[Node, Node], expected: Edge) -> bool:
         """Return True if the odds suffice: the more pairs of different segments there are, the more are needed.
 
         Parameters
         ----------
-        link, poses, expected
+        link, nodes, expected
             As of :meth:`~.NodeRegistration.joins`.
         """
         return link.odds >= MIN_ODDS_NATS + 2 * log(max(expected.earlier, expected.later))

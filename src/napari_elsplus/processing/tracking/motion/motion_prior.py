@@ -78,8 +78,8 @@ class MotionPrior(NamedTuple):
 
     @classmethod
     def between(
-        cls, velocities: tuple[Velocity, Velocity], displacement: Displacement, velocity_sigma: float,
-        displacement_sigma: float, shutter: RollingShutter,
+        cls, velocities: tuple[Velocity, Velocity], displacement: Displacement,
+        velocity_sigmas: tuple[float, float], displacement_sigma: float, shutter: RollingShutter,
     ) -> MotionPrior:  # fmt: skip
         """Return the prior of two frames whose velocities and positions are estimated independently.
 
@@ -89,13 +89,16 @@ class MotionPrior(NamedTuple):
             Of the earlier and the later frame.
         displacement : Displacement
             Expected between them.
-        velocity_sigma, displacement_sigma : float
-            Standard deviations, pixels per frame period and pixels.
+        velocity_sigmas : tuple of float
+            Standard deviations of these, pixels per frame period.
+        displacement_sigma : float
+            That of the displacement, pixels.
         shutter : RollingShutter
             Timing of the rows.
         """
-        of_velocity, of_shift = float(velocity_sigma) ** 2, float(displacement_sigma) ** 2
-        covariance = (of_velocity, 0.0, 0.0), (0.0, of_shift, 0.0), (0.0, 0.0, of_velocity)
+        of_shift = float(displacement_sigma) ** 2
+        before, after = (float(sigma) ** 2 for sigma in velocity_sigmas)
+        covariance = (before, 0.0, 0.0), (0.0, of_shift, 0.0), (0.0, 0.0, after)
         return cls(*velocities, displacement, covariance, covariance, shutter.line_periods_per_frame)
 
     def at(self, b: float, d: float) -> Warp:

@@ -312,8 +312,8 @@ class PoseGraph:
         a, b = (self._view(number) for number in ends)
         if a is None or b is None:
             return None
-        poses = self.place(ends[0]), self.place(ends[1])
-        return self._registration.register(expected, poses, (a, b), self._model, anywhere=anywhere)
+        nodes = self.nodes[ends[0]], self.nodes[ends[1]]
+        return self._registration.register(expected, nodes, (a, b), self._model, anywhere=anywhere)
 
     def _extend(self, edges: list[Edge]) -> None:
         self._loops += edges

@@ -41,7 +41,7 @@ SURE_ODDS_NATS: Final = 48.0
 """Odds from which one edge joins segments; below it two edges without a common node must agree. Of frames of
 different places the largest were 33, in 140 scenes of few fibres; of the same places the median is 80 and more."""
 _VELOCITY_SIGMA: Final = 0.5
-"""Standard deviation of the velocities of tracked frames, pixels per frame period; chosen, above that of a track."""
+"""Smallest standard deviation of the velocity of a node, pixels per frame period; chosen, above that of a track."""
 _SEARCHED_PX: Final = 16.0
 """Scale of the prior about the shift of two thumbnails, grid pixels: two of their cells."""
 FLOOR_PX: Final = 0.01
@@ -65,6 +65,8 @@ class Node(NamedTuple):
         (2, 2) of its displacement from the node before, pixels squared.
     turn_sigma : float
         Standard deviation of its angle against the node before, radians; 1 where no rotation was modelled.
+    velocity_sigma : float
+        Standard deviation of its velocity, pixels per frame period: more after a jolt.
     upright : tuple of int, Pose and float, optional
         The tracked frame before, its pose, and the turn since, radians, if rotation is modelled from this node on: up
         to there no angle is known.
@@ -75,6 +77,7 @@ class Node(NamedTuple):
     gone_px: float
     covariance: NDArray[np.float64]
     turn_sigma: float
+    velocity_sigma: float = _VELOCITY_SIGMA
     upright: tuple[int, Pose, float] | None = None
 
 
@@ -110,18 +113,20 @@ class KeyframeSelector:
             Registration of which the pose follows, frames by the tracker's count.
         """
         known, self._before = self._before, (frame, pose)
+        variance = 0.0 if link is None else link.registration.velocity_variance
+        velocity_sigma = max(_VELOCITY_SIGMA, variance**0.5)
         if known is None or known[1].segment != pose.segment:
             self._newest = self._node = link
             self._gone, self._since, self._unknown = 0.0, [], False
             # the velocity of a first frame without a registration follows from the next one
-            return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0)]
+            return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0, velocity_sigma)]
         nodes, before, newest = [], known[1], self._newest
         self._unknown |= link is None
         self._gone += abs(pose.at - before.at)
         if link is not None and isnan(before.score):
             velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
             first = before._replace(velocity=velocity, score=pose.score)  # both frames correlate with each other alone
-            nodes.append(Node(known[0], first, 0.0, np.eye(2), 1.0))
+            nodes.append(Node(known[0], first, 0.0, np.eye(2), 1.0, velocity_sigma))
         self._newest, begins_to_turn = link, False
         if link is not None and newest is not None:
             if link.earlier != newest.earlier:  # frames are registered to a newer one now, which was registered by that
@@ -129,7 +134,7 @@ class KeyframeSelector:
             begins_to_turn = link.registration.turn_sigma < newest.registration.turn_sigma == inf
         if self._gone < self._spacing_px and not begins_to_turn:
             return nodes
-        node = Node(frame, pose, self._gone, *self._spread())
+        node = Node(frame, pose, self._gone, *self._spread(), velocity_sigma)
         if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
             turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
             node = node._replace(turn_sigma=1.0, upright=(*known, turn))
@@ -171,7 +176,7 @@ class NodeRegistration:
         self.grid, self._registrar = registrar.grid, registrar
 
     def register(
-        self, expected: Edge, poses: tuple[Pose, Pose], views: tuple[PreparedFrame, PreparedFrame], model: MotionModel,
+        self, expected: Edge, nodes: tuple[Node, Node], views: tuple[PreparedFrame, PreparedFrame], model: MotionModel,
         *, anywhere: bool,
     ) -> Edge | None:  # fmt: skip
         """Register two nodes; None where the frames do not determine their displacement.
@@ -180,8 +185,8 @@ class NodeRegistration:
         ----------
         expected : Edge
             Between the two, of which displacement and turn are used.
-        poses : tuple of Pose
-            Theirs, of which velocities and scores are used.
+        nodes : tuple of Node
+            The two, of which velocities and scores are used.
         views : tuple of PreparedFrame
             Their frames.
         model : MotionModel
@@ -191,30 +196,31 @@ class NodeRegistration:
         """
         shutter = self.grid.shutter
         there = Displacement(expected.displacement.real, expected.displacement.imag)
-        velocities = poses[0].velocity, poses[1].velocity
-        motion = MotionPrior.between(velocities, there, _VELOCITY_SIGMA, _SEARCHED_PX, shutter)
+        velocities = nodes[0].pose.velocity, nodes[1].pose.velocity
+        sigmas = nodes[0].velocity_sigma, nodes[1].velocity_sigma
+        motion = MotionPrior.between(velocities, there, sigmas, _SEARCHED_PX, shutter)
         turn = None if model is MotionModel.TRANSLATION else Turn(expected.turn)
         link = self._registrar.register(*views, motion, anywhere=anywhere, turn=turn)
-        if link is None or not link.observed or (anywhere and not self.joins(link, poses, expected)):
+        if link is None or not link.observed or (anywhere and not self.joins(link, nodes, expected)):
             return None
-        moved = shutter.displacement(link.warp, poses[1].velocity)
+        moved = shutter.displacement(link.warp, link.velocity)
         return expected._replace(
             displacement=complex(*moved), turn=link.turn, turn_sigma=link.turn_sigma,
-            covariance=edge_covariance(link, _VELOCITY_SIGMA / shutter.line_periods_per_frame),
+            covariance=edge_covariance(link, link.velocity_variance**0.5 / shutter.line_periods_per_frame),
             sure=link.odds > self.sure_odds_nats,
         )  # fmt: skip
 
-    def joins(self, link: PairRegistration, poses: tuple[Pose, Pose], expected: Edge) -> bool:
+    def joins(self, link: PairRegistration, nodes: tuple[Node, Node], expected: Edge) -> bool:
         """Return True if frames of two segments overlap enough, and correlate about as well as successive ones.
 
         Parameters
         ----------
         link : PairRegistration
             Of the two.
-        poses, expected
+        nodes, expected
             As of :meth:`register`.
         """
-        lowest = min((pose.score for pose in poses if isfinite(pose.score)), default=0.0)
+        lowest = min((node.pose.score for node in nodes if isfinite(node.pose.score)), default=0.0)
         return link.overlap >= MIN_JOIN_OVERLAP and not link.correlation < lowest - FALL_OF_CORRELATION
 
 

@@ -107,18 +107,14 @@ def with_uncertainties(
 def _steps(links: Sequence[TrackedPair], graph: PoseGraph) -> list[_Step]:
     """Return the steps between frames: the registrations along the track, then edges, the most certain first."""
     floor, share, rows = FLOOR_PX**2 * np.eye(2), graph.noise_share, graph.grid.shutter.line_periods_per_frame
-    of_velocity: dict[int, float] = {}
     steps = []
     for a, b, moved, link, _ in links:
         by_velocity = (moved.row / rows) ** 2 * link.velocity_variance
         times = 2 if link.turn_sigma < UNKNOWN_TURN else 1  # with a rotation the shift is estimated once more
         noise = times * share * link.covariance + floor
         steps.append(_Step((a, b), noise, by_velocity, LEFT_UNEVEN if link.evened else 1.0))
-        of_velocity[b] = link.velocity_variance
-        of_velocity.setdefault(a, link.velocity_variance)
-    for edge in sorted(graph.loops, key=lambda edge: float(np.trace(edge.covariance))):
-        by_velocity = (edge.displacement.real / rows) ** 2 * of_velocity.get(edge.later, 0.0)
-        steps.append(_Step((edge.earlier, edge.later), share * edge.covariance, by_velocity, 1.0))
+    for edge in sorted(graph.loops, key=lambda edge: float(np.trace(edge.covariance))):  # of which velocities are part
+        steps.append(_Step((edge.earlier, edge.later), share * edge.covariance, 0.0, 1.0))
     return steps
 
 
