@@ -113,9 +113,8 @@ def _steps(links: Sequence[TrackedPair], graph: PoseGraph) -> list[_Step]:
         times = 2 if link.turn_sigma < UNKNOWN_TURN else 1  # with a rotation the shift is estimated once more
         noise = times * share * link.covariance + floor
         steps.append(_Step((a, b), noise, by_velocity, LEFT_UNEVEN if link.evened else 1.0))
-    for edge in sorted(graph.loops, key=lambda edge: float(np.trace(edge.covariance))):  # of which velocities are part
-        steps.append(_Step((edge.earlier, edge.later), share * edge.covariance, 0.0, 1.0))
-    return steps
+    edges = sorted(graph.loops, key=lambda edge: float(np.trace(edge.covariance)))  # of which velocities are part
+    return [*steps, *(_Step((edge.earlier, edge.later), share * edge.covariance, 0.0, 1.0) for edge in edges)]
 
 
 class _Ways:
