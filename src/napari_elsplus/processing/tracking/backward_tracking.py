@@ -17,6 +17,7 @@ from napari_elsplus.processing.tracking.front_end.grid import FIELD
 from napari_elsplus.processing.tracking.motion.pose import TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, Velocity, Warp
 from napari_elsplus.processing.tracking.pose_graph.correction import Correction
+from napari_elsplus.processing.tracking.pose_graph.nodes import JOLTED_FALL
 from napari_elsplus.processing.tracking.pose_graph.refinement import (
     borne_out,
     located,
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
 MIN_ODDS_NATS: Final = 20.0
 """Odds from which a registration is used; chosen: twice those of the tracker, as the frames are those that it lost.
 Where a lone fibre slid along itself with the motion that was expected, they were 14 and less."""
-FALL_OF_CORRELATION: Final = 0.02
-"""Correlation at half resolution below the recent mean from which a lost frame stays lost; chosen: those that were
-jolted within, whose middle is unknown, correlate by 0.045 and more less in rich tissue, others by up to 0.01."""
 CONTEXT_FRAMES: Final = 8
 """Frames tracked again on either side of those that were lost; chosen: by then the motion is known."""
 JOLTED_READ: Final = 0.3
@@ -73,9 +71,9 @@ def completed(
     links = borne_out(poses, tracker.links)
     result = located(poses, links, shutter)
     # a first registration backwards has no others before it that it could be compared with
-    least = np.median([link.registration.at_half for link in links] or [0.0]) - FALL_OF_CORRELATION
+    least = np.median([link.registration.at_half for link in links] or [0.0]) - JOLTED_FALL
     registrar = Registrar(tracker.grid.upside_down())
-    registrar.fall_of_correlation = FALL_OF_CORRELATION
+    registrar.fall_of_correlation = JOLTED_FALL
     for begin, end in _stretches(result):
         again, backwards = Tracker(registrar, tracker.turn_rate), []
         for frame in range(end - 1, begin - 1, -1):

@@ -21,6 +21,7 @@ from recordings import Truth, record, texture
 
 ROUND, SPEED = 50, 14.0
 MOVED = Displacement(2.0, 0.0)
+PLACED = Pose(0, 0.0, 0.0, Velocity(4.0, 0.0), 0.97, 0.1, TrackingState.TRACKED)
 DRIFT = 0.002
 """Part of the path by which poses are spoilt, along the rows."""
 
@@ -144,21 +145,35 @@ def test_the_longer_the_way_between_two_nodes_the_less_it_is_trusted() -> None:
     assert sigma.max() < 0.5
 
 
-def test_frames_that_begin_segments_are_joined_only_if_they_correlate_as_they_do_within_theirs() -> None:
+def test_nodes_are_joined_only_if_they_correlate_as_they_do_within_their_segments() -> None:
     """Before: they had no correlation to compare with, and two of 0.54 over a lattice joined places 388 px apart."""
-    front_end = FrontEnd(truth().calibration, truth().frames.shape[1:])
-    tracker, trail = Tracker(Registrar(front_end.grid)), KeyframeSelector(front_end.grid)
-    nodes: list[Node] = []
-    for k, frame in enumerate(truth().frames[:2]):
-        front_end.image(frame, tracker.slot())
-        pose = tracker.add()
-        nodes += trail.add(k, pose, tracker.links[-1] if tracker.links else None)
-    first = nodes[0].pose
-    assert (nodes[0].frame, first.score) == (0, pose.score)
-    register, expected = NodeRegistration(Registrar(front_end.grid)), Edge.between(0, 1, first, first)
-    link = PairRegistration(Warp(1.0, 0.0, 0.0, 0.0), np.eye(4) * 1e4, first.score, 0.9, 100.0)
-    assert register.joins(link, (nodes[0], nodes[0]), expected)
-    assert not register.joins(link._replace(correlation=0.54), (nodes[0], nodes[0]), expected)
+    grid = FrontEnd(truth().calibration, truth().frames.shape[1:]).grid
+    register, node = NodeRegistration(Registrar(grid)), Node(1, PLACED, 0.0, np.eye(2), 1.0)
+    expected = Edge.between(0, 1, PLACED, PLACED)
+    link = PairRegistration(Warp(1.0, 0.0, 0.0, 0.0), np.eye(4) * 1e4, PLACED.score, 0.9, 100.0)
+    assert register.joins(link, (node, node), expected)
+    assert not register.joins(link._replace(correlation=0.54), (node, node), expected)
+
+
+def selected(halves: list[float], segments: list[int]) -> list[int]:
+    """Return the frames that are nodes, of frames 4 px apart, from correlations at half resolution and segments."""
+    trail, nodes = KeyframeSelector(FrontEnd(truth().calibration, truth().frames.shape[1:]).grid), []
+    for frame, (half, segment) in enumerate(zip(halves, segments, strict=True)):
+        pose = PLACED._replace(segment=segment, row=4.0 * frame, score=half)
+        link = PairRegistration(Warp(1.0, -4.0, 0.0, 0.0), np.eye(4) * 1e4, half, 0.9, 100.0, at_half=half)
+        registered = None if np.isnan(half) else TrackedPair(frame - 1, frame, Displacement(4.0, 0.0), link)
+        nodes += trail.add(frame, pose, registered)
+    return [node.frame for node in [*nodes, *trail.end()]]
+
+
+def test_both_ends_of_a_short_segment_are_nodes_but_for_a_frame_that_is_registered_to_none() -> None:
+    """Before: the first frame alone, so that segments stayed apart whose later frames overlap."""
+    assert selected([np.nan, 0.9, 0.9, 0.9, np.nan, 0.9, 0.9], [0, 0, 0, 0, 1, 1, 1]) == [1, 3, 5, 6]
+
+
+def test_a_frame_that_was_jolted_within_is_no_node() -> None:
+    """Before: two segments were joined by such frames, and lay 5 px off."""
+    assert selected([np.nan, 0.99, 0.99, 0.94, 0.95, 0.99, 0.99], [0, 0, 0, 0, 1, 1, 1]) == [1, 2, 5, 6]
 
 
 def test_the_node_at_which_a_turn_was_noticed_does_not_say_how_far_the_probe_turned_since_the_one_before() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, inf, isfinite, isnan
+from math import hypot, inf, isfinite, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -46,6 +46,11 @@ _SEARCHED_PX: Final = 16.0
 """Scale of the prior about the shift of two thumbnails, grid pixels: two of their cells."""
 FLOOR_PX: Final = 0.01
 """Standard deviation of a displacement that no registration undercuts, grid pixels: what the core pattern leaves."""
+JOLTED_FALL: Final = 0.02
+"""Correlation at half resolution below the recent mean from which a frame was jolted within, so that its middle is
+unknown; chosen: such frames correlate by 0.045 and more less in rich tissue, others by up to 0.01."""
+_MEMORY: Final = 0.2
+"""Part by which a frame's correlation changes that mean."""
 SMOOTHED_PX: Final = (256 / 70) ** 2
 """Pixels that share one value of the noise; derived: the front end smooths by 1 4 6 4 1 along rows and columns."""
 
@@ -82,7 +87,7 @@ class Node(NamedTuple):
 
 
 class KeyframeSelector:
-    """Selects nodes a quarter of a bundle diameter apart.
+    """Selects nodes a quarter of a bundle diameter apart, and the ends of segments, from frames without a jolt within.
 
     Parameters
     ----------
@@ -92,16 +97,17 @@ class KeyframeSelector:
 
     def __init__(self, grid: Grid) -> None:
         self._spacing_px = KEY_SPACING * grid.diameter
-        self._shutter = grid.shutter
         self._stretch = LINK_STRETCH_PX / grid.shutter.line_periods_per_frame
         self._before: tuple[int, Pose] | None = None
         self._newest: TrackedPair | None = None
         self._node: TrackedPair | None = None
         self._gone, self._unknown = 0.0, False
         self._since: list[PairRegistration] = []
+        self._end: tuple[int, Pose, float, TrackedPair | None] | None = None
+        self._usual, self._fall = nan, JOLTED_FALL if isfinite(grid.shutter.line_periods_per_frame) else inf
 
     def add(self, frame: int, pose: Pose, link: TrackedPair | None) -> list[Node]:
-        """Return the nodes that a tracked frame adds: none, itself, or with it the first frame of its segment.
+        """Return the nodes that a tracked frame adds: itself, an end of its segment, that of the one before, or none.
 
         Parameters
         ----------
@@ -112,34 +118,42 @@ class KeyframeSelector:
         link : TrackedPair, optional
             Registration of which the pose follows, frames by the tracker's count.
         """
-        known, self._before = self._before, (frame, pose)
-        variance = 0.0 if link is None else link.registration.velocity_variance
-        velocity_sigma = max(_VELOCITY_SIGMA, variance**0.5)
+        known, usual = self._before, self._usual
+        half = usual if link is None else link.registration.at_half
+        jolted = half < usual - self._fall
+        self._usual = half if isnan(usual) else usual + _MEMORY * (half - usual)
         if known is None or known[1].segment != pose.segment:
+            begins = not (jolted or isnan(pose.score))
+            nodes, self._before = self.end(), (frame, pose) if begins else None
             self._newest = self._node = link
-            self._gone, self._since, self._unknown = 0.0, [], False
-            # the velocity of a first frame without a registration follows from the next one
-            return [] if isnan(pose.score) else [Node(frame, pose, 0.0, np.eye(2), 1.0, velocity_sigma)]
-        nodes, before, newest = [], known[1], self._newest
+            self._gone, self._since, self._unknown, self._end = 0.0, [], False, None
+            return [*nodes, Node(frame, pose, 0.0, np.eye(2), 1.0, _velocity_sigma(link))] if begins else nodes
+        self._before = frame, pose
+        newest = self._newest
         self._unknown |= link is None
-        self._gone += abs(pose.at - before.at)
-        if link is not None and isnan(before.score):
-            velocity, _ = self._shutter.velocities(link.registration.warp, link.periods)
-            first = before._replace(velocity=velocity, score=pose.score)  # both frames correlate with each other alone
-            nodes.append(Node(known[0], first, 0.0, np.eye(2), 1.0, velocity_sigma))
+        self._gone += abs(pose.at - known[1].at)
         self._newest, begins_to_turn = link, False
         if link is not None and newest is not None:
             if link.earlier != newest.earlier:  # frames are registered to a newer one now, which was registered by that
                 self._since.append(newest.registration)
             begins_to_turn = link.registration.turn_sigma < newest.registration.turn_sigma == inf
-        if self._gone < self._spacing_px and not begins_to_turn:
-            return nodes
-        node = Node(frame, pose, self._gone, *self._spread(), velocity_sigma)
+        if not jolted:
+            self._end = frame, pose, self._gone, link
+        if (jolted or self._gone < self._spacing_px) and not begins_to_turn:
+            return []
+        node = Node(frame, pose, self._gone, *self._spread(), _velocity_sigma(link))
         if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
             turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
             node = node._replace(turn_sigma=1.0, upright=(*known, turn))
-        self._node, self._gone, self._since, self._unknown = link, 0.0, [], False
-        return [*nodes, node]
+        self._node, self._gone, self._since, self._unknown, self._end = link, 0.0, [], False, None
+        return [node]
+
+    def end(self) -> list[Node]:
+        """Return the newest frame as a node if it is none yet: in a short segment it shows what no other node does."""
+        if self._end is None:
+            return []
+        frame, pose, gone, link = self._end
+        return [Node(frame, pose, gone, *self._spread(), _velocity_sigma(link))]
 
     def _spread(self) -> tuple[NDArray[np.float64], float]:
         """Return the covariance of the newest frame's displacement from the node before, and its angle's deviation."""
@@ -152,6 +166,11 @@ class KeyframeSelector:
         covariance = np.sum([edge_covariance(link, self._stretch) for link in links], axis=0)
         covariance += (_DRIFT * self._gone) ** 2 * np.eye(2)
         return covariance, min(1.0, hypot(*(link.turn_sigma for link in links)))
+
+
+def _velocity_sigma(link: TrackedPair | None) -> float:
+    """Return the standard deviation of the velocity of a frame, given its registration, pixels per frame period."""
+    return max(_VELOCITY_SIGMA, 0.0 if link is None else link.registration.velocity_variance**0.5)
 
 
 class NodeRegistration:

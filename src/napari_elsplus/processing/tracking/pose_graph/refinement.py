@@ -70,6 +70,8 @@ def refine(
         if len(graph.nodes) > _SOLVED_AT * solved:
             graph.solve()
             solved = len(graph.nodes)
+    for node in selector.end():
+        graph.add(node, model)
     graph.register_deferred()
     graph.solve()
     placed = from_origins(graph.corrections.of_poses(range(len(poses)), poses))
