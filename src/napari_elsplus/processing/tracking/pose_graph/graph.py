@@ -50,8 +50,6 @@ _TURN_STEP_RAD: Final = float(np.deg2rad(5.0))
 one edge joins them; chosen: thumbnails tolerate 3 degrees and more, and turned by more one fibre resembles any."""
 _TURN_STEPS: Final = 3
 """Steps to either side; chosen: up to 15 degrees."""
-_DRIFT: Final = 0.01
-"""Largest drift of a track, fraction of the path; chosen, ten times that of jerky recordings."""
 _GROWTH: Final = 1.25
 """Factor by which the number of nodes grows before they are thinned out again; chosen: its cost stays linear."""
 TURNS_PER_NODE: Final = 2
@@ -59,8 +57,8 @@ TURNS_PER_NODE: Final = 2
 _GUESSED_TURN_SIGMA: Final = 0.5
 """Standard deviation of the angle of an edge that could not be registered with one, radians; chosen, large."""
 AGREEMENT_PX: Final = 3.0
-"""Distance of two edges' predictions up to which they agree, and of a loop's edge from the track; chosen, far above the
-scatter of edges in dim light (0.3 px)."""
+"""Distance of two edges' predictions up to which they agree; chosen, far above the scatter of edges in dim light
+(0.3 px)."""
 _AGREEMENT_RAD: Final = 0.02
 """The same of angles, radians; derived: 2 px at the rim."""
 _PLACE: Final = np.dtype([("segment", np.int64), ("at", np.complex128), ("angle", np.float64), ("path", np.float64)])
@@ -255,10 +253,8 @@ class PoseGraph:
         nearest = np.flatnonzero(near)[np.argsort(distance[near])].tolist()
         kept = (earlier for earlier in nearest if self._view(earlier) is not None)
         for earlier in islice(kept, 2 * EDGES_PER_NODE):
-            expected = Edge.between(earlier, number, self.place(earlier), self.place(number))
-            edge = self._register(expected)
-            away_px = np.inf if edge is None else abs(edge.displacement - expected.displacement)
-            if edge is not None and away_px < AGREEMENT_PX + _DRIFT * gone[earlier]:
+            edge = self._register(Edge.between(earlier, number, self.place(earlier), self.place(number)))
+            if edge is not None:
                 edges.append(edge)
             if len(edges) == EDGES_PER_NODE:
                 break

@@ -100,7 +100,6 @@ class KeyframeSelector:
         self._stretch = LINK_STRETCH_PX / grid.shutter.line_periods_per_frame
         self._before: tuple[int, Pose] | None = None
         self._newest: TrackedPair | None = None
-        self._node: TrackedPair | None = None
         self._gone, self._unknown = 0.0, False
         self._since: list[PairRegistration] = []
         self._end: tuple[int, Pose, float, TrackedPair | None] | None = None
@@ -125,7 +124,7 @@ class KeyframeSelector:
         if known is None or known[1].segment != pose.segment:
             begins = not (jolted or isnan(pose.score))
             nodes, self._before = self.end(), (frame, pose) if begins else None
-            self._newest = self._node = link
+            self._newest = link
             self._gone, self._since, self._unknown, self._end = 0.0, [], False, None
             return [*nodes, Node(frame, pose, 0.0, np.eye(2), 1.0, _velocity_sigma(link))] if begins else nodes
         self._before = frame, pose
@@ -145,7 +144,7 @@ class KeyframeSelector:
         if begins_to_turn and link is not None:  # the angle that was added is not what the probe turned by since
             turn = link.registration.turn * (frame - known[0]) / (link.later - link.earlier)
             node = node._replace(turn_sigma=1.0, upright=(*known, turn))
-        self._node, self._gone, self._since, self._unknown, self._end = link, 0.0, [], False, None
+        self._gone, self._since, self._unknown, self._end = 0.0, [], False, None
         return [node]
 
     def end(self) -> list[Node]:
@@ -160,9 +159,6 @@ class KeyframeSelector:
         links = [] if self._newest is None or self._unknown else [*self._since, self._newest.registration]
         if not links:
             return np.eye(2), 1.0
-        if self._node is not None:  # both are registered to the same frame, or the later one to the node
-            node = self._node.registration
-            links = [*links, node] if links[0] is not node else links[1:] or links
         covariance = np.sum([edge_covariance(link, self._stretch) for link in links], axis=0)
         covariance += (_DRIFT * self._gone) ** 2 * np.eye(2)
         return covariance, min(1.0, hypot(*(link.turn_sigma for link in links)))
