@@ -253,7 +253,12 @@ class Pipeline:
         """
         tracking = self.tracking
         self.poses = tracking.refine(self.poses, lambda index: tracking.image(*raw_pair(index)), progress=progress)
-        self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
+        self._rewrite_rows()
+
+    def _rewrite_rows(self) -> None:
+        """Write the refined poses into the track."""
+        poses = self.tracking.at_middle_rows(self.poses)
+        self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(poses, self.rows, strict=True)]
 
     def finish(self, raw_pair: RawPair, progress: Progress = without_display) -> None:
         """Refine all positions, and insert all frames into fresh mosaics, without uneven light, fading and deformation.

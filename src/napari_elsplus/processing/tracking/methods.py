@@ -14,6 +14,7 @@ import numpy as np
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
+from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
@@ -24,11 +25,12 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
+from napari_elsplus.processing.tracking.registration.uneven_motion import at_middle_rows, mean_shifts
 from napari_elsplus.processing.tracking.standing_pattern import WITHOUT_PATTERN, tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -133,6 +135,16 @@ class TrackingMethod(Protocol):
             Wraps the frames' numbers where all are tracked once more; an exception raised in it ends that.
         """
         del image, progress
+        return poses
+
+    def at_middle_rows(self, poses: list[Pose]) -> list[Pose]:
+        """Return refined poses, by which frames are inserted, at the times at which the frames' middle rows are read.
+
+        Parameters
+        ----------
+        poses : list of Pose
+            One for every frame.
+        """
         return poses
 
     def discard_registrations(self) -> None:
@@ -270,7 +282,12 @@ class RegistrationTracking(FrontEndImages):
         if tracker.model is not MotionModel.TRANSLATION:
             poses, tracker = again(_WITHOUT_ROTATION, _WithoutRotation(registrar.grid), image)
         poses, links = completed(poses, tracker, image)
+        links = of_mean_places(links, poses, registrar.grid, lost)
         return refine(poses, links, PoseGraph(NodeRegistration(registrar), frame), lost=lost)
+
+    def at_middle_rows(self, poses: list[Pose]) -> list[Pose]:
+        """See :meth:`TrackingMethod.at_middle_rows`."""
+        return at_middle_rows(poses, self.grid, self._tracker.lost)
 
 
 def prepared_frames(
@@ -295,6 +312,28 @@ def prepared_frames(
         return registrar.prepare(view)
 
     return frame
+
+
+def of_mean_places(
+    links: Sequence[TrackedPair], poses: Sequence[Pose], grid: Grid, lost: Mapping[int, int]
+) -> list[TrackedPair]:
+    """Return registrations with the displacements of the mean places of the frames' rows, also of uneven motion.
+
+    Parameters
+    ----------
+    links : sequence of TrackedPair
+        The tracker's registrations; those of uneven motion are of the middle rows.
+    poses, grid, lost
+        As of :func:`~.uneven_motion.mean_shifts`.
+    """
+    shifts = mean_shifts(poses, grid, lost).tolist()
+
+    def moved(link: TrackedPair) -> TrackedPair:
+        more = shifts[link.later] - shifts[link.earlier]
+        row, col = link.displacement
+        return link._replace(displacement=Displacement(row + more.real, col + more.imag))
+
+    return [moved(link) if link.registration.evened else link for link in links]
 
 
 def reviewed_model(

@@ -226,7 +226,7 @@ class CorePipeline(Pipeline):
             self.poses[index] = pose._replace(row=pose.row + cell * down, col=pose.col + cell * across)
             farthest = max(farthest, self._cell_px * hypot(down, across))
         self._gains = self._gains * gains.corrections(len(tracked))
-        self.rows = [self._row(pose, row.frame, row.time_s) for pose, row in zip(self.poses, self.rows, strict=True)]
+        self._rewrite_rows()
         return farthest
 
 
