@@ -15,13 +15,15 @@ import numpy as np
 
 from napari_elsplus.errors import InputError, MeasurementError
 from napari_elsplus.processing.analysis.uncertainty import clustered_influence, robust_sigma
+from napari_elsplus.processing.calibration.line.drawn_by_light import Drawn, drawn_by_light
 from napari_elsplus.processing.calibration.line.location import Line, locate_line
 from napari_elsplus.processing.calibration.line.sweep_influence import (
     MIN_SWEEP_V,
     RUNS,
-    Influence,
     different_voltages,
     influence_of_lines,
+    place_in_sweep,
+    polynomial_terms,
     runs_of,
 )
 from napari_elsplus.processing.calibration.line.sweep_jump import require_steady
@@ -39,8 +41,9 @@ MAX_LOST_FRAMES: Final = 3
 """Steps by which lines may lie beside the others where frames were lost; chosen: farther ones are other outliers."""
 MIN_LINES: Final = 5
 """Different voltages of lines; chosen: fewer leave too little over to tell scatter from a curve."""
-MIN_CHORD: Final = 0.7
-"""Of the longest line; chosen: nearer to the rim the line's halo is cut on one side, which biases the fit."""
+MIN_CHORD: Final = 0.8
+"""Of the longest line; measured, on 320 random rigs: nearer to the rim the halo is cut on one side, which moves lines
+outwards, those with most of it by 0.02 rows at 0.7 and by 0.01 at 0.75."""
 MIN_BEND_SIGMAS: Final = 3.0
 """Standard deviations below which the line counts as straight, and the sweep as symmetrical about its middle; chosen:
 one in 400 exceeds them by chance."""
@@ -50,8 +53,6 @@ OUTLIER_SIGMAS: Final = 5.0
 """Robust standard deviations; chosen: a line of a good sweep exceeds them once in a million."""
 PRIOR_LINES: Final = 4
 """Number of lines as which each line's own uncertainty is weighted against the residuals; chosen."""
-_MAX_DEGREE: Final = 3
-"""Of the polynomial that tells whether the galvo is curved; fewer than six different voltages leave a lower one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +180,9 @@ def fit_galvo(
         raise InputError(f"a voltage of the sweep is {largest:g} V", f"give volts, at most {MAX_VOLTS:g}")
     seen = [(k, line) for k, line in enumerate(lines) if line is not None and line.length_px <= max_chord_px]
     longest = max((line.length_px for _, line in seen), default=0)
-    whole = [(k, line) for k, line in seen if line.length_px >= MIN_CHORD * longest]
+    whole, cut = (
+        [(k, line) for k, line in seen if (line.length_px >= MIN_CHORD * longest) == kept] for kept in (True, False)
+    )
     if len(whole) < MIN_LINES:
         raise MeasurementError(
             f"a line is visible in {len(whole)} of {len(lines)} frames, {MIN_LINES} are needed",
@@ -212,8 +215,9 @@ def fit_galvo(
             "do the voltages belong to these frames, and does the galvo move?",
         )
     near = used | (np.abs(away) < MAX_LOST_FRAMES * abs(slope) * np.median(np.abs(np.diff(v))))
-    require_steady(rows[near], _polynomial(_place(v))[near], frames[near])
-    drawn = _drawn_by_light(v, [line for _, line in whole], used)
+    require_steady(rows[near], polynomial_terms(place_in_sweep(v))[near], frames[near])
+    cut_v = np.array([volts[k] for k, _ in cut], np.float64)
+    drawn = drawn_by_light(v, rows, [line for _, line in whole], used, cut_v, [line for _, line in cut])
     tilt_deg = float(np.median([line.tilt_deg for _, line in whole]))
     each_rows = float(np.sqrt(np.mean([line.uncertainty_rows(column) ** 2 for _, line in whole])))
     return _fit(v, rows - drawn.rows, used, tilt_deg, bow, drawn, column, len(lines) - len(whole), each_rows)
@@ -236,57 +240,12 @@ def _common_bow(volts: Floats, lines: list[Line], column: float, radius_px: floa
     rows = float(np.average(bends[kept], weights=weights))
     # A lens bends the line upwards on one side of its axis and downwards on the other, which is no scatter.
     root = np.sqrt(weights / weights.mean())[:, None]
-    terms = root * _polynomial(_place(volts[kept]))
+    terms = root * polynomial_terms(place_in_sweep(volts[kept]))
     scaled = root[:, 0] * bends[kept]
     left_over = np.asarray(scaled - terms @ np.linalg.lstsq(terms, scaled, rcond=None)[0], np.float64)
     uncertainty = float(np.sqrt(influence_of_lines(root, left_over, terms, runs_of(volts[kept])).covariance[0, 0]))
     share = np.array([line.bowed_rows(column, 1 / radius_px**2) for line in lines])
     return _Bow(rows if abs(rows) > MIN_BEND_SIGMAS * uncertainty else 0.0, uncertainty, share)
-
-
-class _Drawn(NamedTuple):
-    """Rows by which lines are drawn to brighter ones, and by what the level and slope of these are changed.
-
-    That is the influence of the lines on the coefficients of their light, and the change by each, (2, 3).
-    """
-
-    rows: Floats
-    light: Influence
-    per_coefficient: Floats
-
-
-def _drawn_by_light(volts: Floats, lines: list[Line], used: NDArray[np.bool_]) -> _Drawn:
-    """Return the rows by which lines are drawn to brighter ones.
-
-    Light that changes along the rows, as it falls towards the bundle's rim, moves a line by its variance times the
-    slope of the light's logarithm. A parabola gives it: the map's two parameters depend on no more.
-    """
-    x = _place(volts, volts[used])
-    light, rows = (np.array([getattr(line, name) for line in lines]) for name in ("amplitude", "row"))
-    terms = np.asarray(np.polynomial.legendre.legvander(x, min(_degree(x[used]), 2)), np.float64)
-    coefficients, *_ = np.linalg.lstsq(terms[used], np.log(light[used]), rcond=None)
-    left_over = np.asarray(np.log(light[used]) - terms[used] @ coefficients, np.float64)
-    rows_per_slope = np.mean([line.width_rows**2 for line in lines]) / np.polyfit(x[used], rows[used], 1)[0]
-    derivatives = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])[:, : terms.shape[1]]
-    by_terms = rows_per_slope * derivatives
-    influence = influence_of_lines(terms[used], left_over, terms[used], runs_of(volts[used]))
-    return _Drawn(terms[:, :2] @ by_terms @ coefficients, influence, by_terms)
-
-
-def _place(volts: Floats, sweep: Floats | None = None) -> Floats:
-    """Return places in the sweep, from -1 to 1; by default in that of all voltages."""
-    swept = volts if sweep is None else sweep
-    return np.asarray((volts - (swept.max() + swept.min()) / 2) / (np.ptp(swept) / 2), np.float64)
-
-
-def _degree(x: Floats) -> int:
-    """Return the degree of a polynomial that leaves over what tells scatter, for lines at places `x` of the sweep."""
-    return int(np.clip(different_voltages(x) - 3, 1, _MAX_DEGREE))
-
-
-def _polynomial(x: Floats) -> Floats:
-    """Return the terms of a cubic, or of less for few voltages, at places `x` of the sweep, shape (lines, terms)."""
-    return np.asarray(np.polynomial.legendre.legvander(x, _degree(x)), np.float64)
 
 
 def _fit(
@@ -295,14 +254,14 @@ def _fit(
     used: NDArray[np.bool_],
     tilt_deg: float,
     bow: _Bow,
-    drawn: _Drawn,
+    drawn: Drawn,
     column: float,
     dark: int,
     each_rows: float,
 ) -> GalvoMap:
     v, y = volts[used], rows[used]
     middle, half = (v.max() + v.min()) / 2, np.ptp(v) / 2
-    x, runs = _place(v), runs_of(v)
+    x, runs = place_in_sweep(v), runs_of(v)
     jacobian = np.asarray(np.stack([np.ones_like(x), x], axis=1), np.float64)
     level, per_half = np.linalg.lstsq(jacobian, y, rcond=None)[0]
     residuals = np.asarray(y - jacobian @ (level, per_half), np.float64)
@@ -313,9 +272,10 @@ def _fit(
     curve = _curvature(x, y, runs)
     # Cores of other light draw single lines, too, so that their errors and that of the light are not independent.
     of_lines = influence_of_lines(jacobian, curve.left_over, curve.terms, runs).less(drawn.light, drawn.per_coefficient)
-    # The residuals of a few lines may be small by chance: the lines' own uncertainties count as some lines more.
-    alone = each_rows**2 * np.linalg.inv(jacobian.T @ jacobian)
+    # The residuals of a few lines may be small by chance: the lines' own uncertainties, if larger, count as some more.
     free = len(v) - curve.terms.shape[1]
+    left_over = float(np.square(curve.left_over).sum()) / free
+    alone = max(each_rows**2, left_over) * np.linalg.inv(jacobian.T @ jacobian)
     covariance = (of_lines.covariance * free + alone * PRIOR_LINES) / (free + PRIOR_LINES)
     by_bow = bow.uncertainty_rows * np.linalg.lstsq(jacobian, bow.share[used], rcond=None)[0]
 
@@ -357,7 +317,7 @@ class _Curve(NamedTuple):
 
 def _curvature(x: Floats, y: Floats, runs: NDArray[np.intp]) -> _Curve:
     """Fit a cubic, or less to few lines, to the rows `y` of lines at places `x` of the sweep, from -1 to 1."""
-    terms = _polynomial(x)
+    terms = polynomial_terms(x)
     coefficients = np.linalg.lstsq(terms, y, rcond=None)[0]
     bend = np.asarray(terms[:, 2:] @ coefficients[2:], np.float64)
     left_over = np.asarray(y - terms @ coefficients, np.float64)

@@ -22,10 +22,11 @@ RUNS: Final = 20
 """Clusters of neighbouring voltages; chosen: enough for a variance, each wider than a row of cores."""
 _NEIGHBOURS: Final = 4
 """Runs of voltages whose errors are correlated; chosen: rows of cores bias the line over many voltages."""
-RUNS_FREEDOM: Final = 6
-"""Degrees of freedom of a variance by overlapping sums of runs from which a cubic was taken off; measured, twice the
-squared mean over the variance in 3000 draws of noise. So few may agree by chance, hundreds of single lines do not: a
-variance by these, as if they were independent, counts as much as that by runs, as a prior of as many degrees."""
+_FREEDOM: Final = 16
+"""Degrees of freedom of a covariance by runs and by lines; measured, twice the squared mean over the variance in 1500
+draws of noise: 16 of 60 lines, 24 of 400."""
+_MAX_DEGREE: Final = 3
+"""Of the polynomial that tells whether the galvo is curved; fewer than six different voltages leave a lower one."""
 
 
 def _ranks(values: Floats) -> NDArray[np.intp]:
@@ -42,6 +43,21 @@ def runs_of(volts: Floats) -> NDArray[np.intp]:
     """Return the run of neighbouring voltages to which each of `volts` (lines,) belongs, from 0 to `RUNS` - 1."""
     rank = _ranks(volts)
     return np.asarray(rank * RUNS // (rank.max() + 1), np.intp)
+
+
+def place_in_sweep(volts: Floats, sweep: Floats | None = None) -> Floats:
+    """Return places in a sweep, from -1 to 1; by default in that of all `volts` (lines,)."""
+    swept = volts if sweep is None else sweep
+    return np.asarray((volts - (swept.max() + swept.min()) / 2) / (np.ptp(swept) / 2), np.float64)
+
+
+def polynomial_terms(x: Floats) -> Floats:
+    """Return the terms of a cubic at places `x` (lines,) of the sweep, (lines, terms).
+
+    For few voltages it is a lower polynomial, which leaves over what tells scatter.
+    """
+    degree = int(np.clip(different_voltages(x) - 3, 1, _MAX_DEGREE))
+    return np.asarray(np.polynomial.legendre.legvander(x, degree), np.float64)
 
 
 class Influence(NamedTuple):
@@ -74,9 +90,12 @@ class Influence(NamedTuple):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the parameters, (parameters, parameters), of errors like those of neighbouring lines."""
+        """Covariance of the parameters, (parameters, parameters), of errors like those of neighbouring lines.
+
+        Few runs may agree by chance, hundreds of single lines do not: both count equally.
+        """
         both = self.runs.T @ self.runs + self.lines.T @ self.lines
-        return np.asarray(small_sample_factor(2 * RUNS_FREEDOM) ** 2 * both / 2, np.float64)
+        return np.asarray(small_sample_factor(_FREEDOM) ** 2 * both / 2, np.float64)
 
 
 def influence_of_lines(jacobian: Floats, left_over: Floats, removed: Floats, runs: NDArray[np.intp]) -> Influence:
