@@ -110,8 +110,8 @@ def _beat_note(response: AxialResponse) -> str:
     varies = f"warning: the light varies by +- {100 * beat.share:.1f} % every {beat.period_frames:.3g} frames"
     if beat.slower:
         return (
-            f"{varies}, or more slowly and by more: corrected as such, but a slower beat is not told from the response,"
-            " and the uncertainties do not contain it: record there and back in steady light, or at another frame rate"
+            f"{varies}, or more slowly and by more: corrected by their mean, and the uncertainties contain both:"
+            " record there and back in steady light, or at another frame rate"
         )
     return f"{varies}, as that of a lamp beats with the frame rate: corrected; use steady light, or another frame rate"
 
