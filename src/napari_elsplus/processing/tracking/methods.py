@@ -25,7 +25,7 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
-from napari_elsplus.processing.tracking.registration.uneven_motion import at_middle_rows, mean_shifts
+from napari_elsplus.processing.tracking.registration.uneven_motion import WITHIN_FRAMES, at_middle_rows, mean_shifts
 from napari_elsplus.processing.tracking.standing_pattern import WITHOUT_PATTERN, tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
@@ -326,7 +326,7 @@ def of_mean_places(
     poses, grid, lost
         As of :func:`~.uneven_motion.mean_shifts`.
     """
-    shifts = mean_shifts(poses, grid, lost).tolist()
+    shifts = (WITHIN_FRAMES * mean_shifts(poses, grid, lost)).tolist()
 
     def moved(link: TrackedPair) -> TrackedPair:
         more = shifts[link.later] - shifts[link.earlier]

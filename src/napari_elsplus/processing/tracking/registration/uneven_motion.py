@@ -6,7 +6,8 @@ further columns of the normal equations estimate J under its prior; the warp is 
 
 Where J is not estimated, the shift is that of the mean place of a frame's rows. Under an acceleration a this lies a
 d^2 / (32 R^2) from the place at which the middle row is read, d being the diameter of the disc that is compared. In a
-finished track the acceleration follows from the positions (:func:`mean_shifts`).
+finished track the acceleration from frame to frame follows from the positions (:func:`mean_shifts`); how much of it
+acts within frames they do not tell (:data:`WITHIN_FRAMES`).
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
 EXACT_PX: Final = 0.1
 """Change of a shift by uneven motion, pixels, up to which the warp of even motion is kept; chosen: it was found at full
 resolution, the change at half of it."""
+WITHIN_FRAMES: Final = 0.5
+"""Part of the acceleration from frame to frame that is taken to act within frames, too. Derived: 1 for a hand, 0 for a
+stage that is moved once a frame, which frames do not tell apart; errors are then half of the larger ones at most."""
 _STEPS: Final = lucas_kanade.Iteration(1, 6, 0.02, False)
 """How frames are registered at half resolution."""
 _UNKNOWNS: Final = lucas_kanade.TONE + 6
@@ -134,11 +138,11 @@ def mean_shifts(poses: Sequence[Pose], grid: Grid, lost: Mapping[int, int]) -> N
 
 
 def at_middle_rows(poses: Sequence[Pose], grid: Grid, lost: Mapping[int, int]) -> list[Pose]:
-    """Return poses of the frames' mean places at the times at which their middle rows are read.
+    """Return poses of the frames' mean places moved towards the times at which their middle rows are read.
 
     Those of each segment remain relative to its first tracked frame. Parameters are those of :func:`mean_shifts`.
     """
-    shifts = mean_shifts(poses, grid, lost).tolist()
+    shifts = (WITHIN_FRAMES * mean_shifts(poses, grid, lost)).tolist()
     first: dict[int, complex] = {}
     result = []
     for pose, shift in zip(poses, shifts, strict=True):
