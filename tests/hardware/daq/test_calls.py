@@ -63,7 +63,11 @@ def card_thread(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(calls_module, "GIVE_UP_S", 0.2)
     calls, around, over = Calls("Dev1"), [], threading.Event()
     thread = CardThread(
-        calls, lambda: None if over.is_set() else 0.02, lambda: None, lambda call: around.append(call) or True
+        calls,
+        lambda: None if over.is_set() else 0.02,
+        lambda _: 0.02,
+        lambda: None,
+        lambda call: around.append(call) or True,
     )
     thread.start()
     yield thread, calls, around
@@ -106,7 +110,7 @@ def test_a_call_is_gone_around_at_the_next_check_where_that_fails(monkeypatch) -
         with calls():
             returns.wait(5)
 
-    thread = CardThread(calls, lambda: None if over.is_set() else 0.02, lambda: 1 // 0, go_around)
+    thread = CardThread(calls, lambda: None if over.is_set() else 0.02, lambda _: 0.02, lambda: 1 // 0, go_around)
     thread.start()
     thread.execute(hang)
     assert len(around) == 2
@@ -122,3 +126,26 @@ def test_commands_are_executed_in_turn_and_raise_where_they_were_given(card_thre
     assert thread.execute(lambda: thread.execute(lambda: 3)) == 3
     with pytest.raises(ZeroDivisionError):
         thread.execute(lambda: 1 // 0)
+
+
+def test_a_routine_that_fails_is_reported_and_called_again_and_commands_are_executed() -> None:
+    reports, over = [], threading.Event()
+
+    def routine() -> float | None:
+        if over.is_set():
+            return None
+        raise SystemExit
+
+    def report(error: BaseException) -> float:
+        reports.append(error)
+        return 0.001
+
+    thread = CardThread(Calls("Dev1"), routine, report, lambda: None, lambda _: True)
+    thread.start()
+    while len(reports) < 3:
+        time.sleep(0.001)
+    assert thread.execute(lambda: 3) == 3
+    over.set()
+    thread.join(5)
+    with pytest.raises(DeviceError, match="was closed"):
+        thread.execute(lambda: 3)

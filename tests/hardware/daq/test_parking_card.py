@@ -110,18 +110,49 @@ def test_an_error_of_clear_task_ends_with_a_reset(cards, ramp, wait_for, power_u
         scanner.check()
 
 
-def test_the_watching_thread_survives_what_nobody_thought_of(cards, ramp, wait_for, monkeypatch) -> None:
+class UnprintableError(Exception):
+    """A defect whose own text cannot be made."""
+
+    def __str__(self) -> str:
+        raise ValueError
+
+
+@pytest.mark.parametrize("defect", [ZeroDivisionError, UnprintableError, SystemExit])
+def test_the_watching_thread_survives_what_nobody_thought_of(cards, ramp, wait_for, monkeypatch, defect) -> None:
+    """Before: all but errors that can be printed ended the thread, which neither parked nor tried to again."""
+
+    def fail() -> None:
+        raise defect
+
     bench = cards()
     with DaqScanner(bench.settings, bench.limits) as scanner:
         sweep(scanner, bench, ramp, wait_for)
-        monkeypatch.setattr(scanner._output, "samples_done", lambda: 1 // 0)
+        monkeypatch.setattr(scanner._output, "samples_done", fail)
         begun_s = bench.card.clock.now_s()
-        wait_for(lambda: "ZeroDivisionError" in fault_of(scanner))
+        wait_for(lambda: defect.__name__ in fault_of(scanner))
         wait_for(lambda: scanner.park_state.parked)
         assert parked_s(bench.card) - begun_s < SOON_S
         monkeypatch.undo()
         scanner.hold(0.2)
         scanner.check()
+
+
+def test_parking_that_a_defect_interrupts_is_tried_again(cards, ramp, wait_for, monkeypatch) -> None:
+    """Before: the thread ended, while the message told that parking was retried."""
+    bench = cards()
+    with DaqScanner(bench.settings, bench.limits) as scanner:
+        sweep(scanner, bench, ramp, wait_for)
+        put, defects = scanner._output.put, [SystemExit(), SystemExit()]
+
+        def put_later(volts: float) -> None:
+            if defects:
+                raise defects.pop()
+            put(volts)
+
+        monkeypatch.setattr(scanner._output, "put", put_later)
+        scanner.park()
+        parked_s(bench.card)
+        assert "SystemExit" in fault_of(scanner)
 
 
 def test_a_strobe_that_was_never_wired_parks_and_the_wire_is_named(cards, ramp, wait_for) -> None:

@@ -115,7 +115,9 @@ class CardThread:
     calls : Calls
         Of the card.
     routine : callable
-        Called between commands; returns the seconds until it is due again, None to end the thread. Must not raise.
+        Called between commands; returns the seconds until it is due again, None to end the thread.
+    failed : callable
+        Receives whatever the routine raises, and returns the seconds until it is due again. Must not raise.
     end : callable
         Called last.
     go_around : callable
@@ -127,10 +129,11 @@ class CardThread:
         self,
         calls: Calls,
         routine: Callable[[], float | None],
+        failed: Callable[[BaseException], float],
         end: Callable[[], None],
         go_around: Callable[[int], bool],
     ) -> None:
-        self._calls, self._routine, self._end, self._go_around = calls, routine, end, go_around
+        self._calls, self._routine, self._failed, self._end, self._go_around = calls, routine, failed, end, go_around
         self._wake, self._ended = threading.Event(), threading.Event()
         self._commands: list[tuple[Future[Any], Callable[[], Any]]] = []
         self._thread = threading.Thread(target=self._run, name="galvo card", daemon=True)
@@ -181,14 +184,21 @@ class CardThread:
 
     def _run(self) -> None:
         try:
-            while (pause_s := self._routine()) is not None:
+            while (pause_s := self._take_turn()) is not None:
                 self._wake.wait(pause_s)
                 self._wake.clear()
-                while self._commands:
-                    self._carry_out(*self._commands.pop(0))
             self._end()
         finally:
             self._ended.set()
+
+    def _take_turn(self) -> float | None:
+        """Carry out the commands, then the routine; return the seconds until it is due again, None at the end."""
+        try:
+            while self._commands:
+                self._carry_out(*self._commands.pop(0))
+            return self._routine()
+        except BaseException as error:  # noqa: BLE001 - no other thread would park
+            return self._failed(error)
 
     @staticmethod
     def _carry_out(command: Future[Any], act: Callable[[], Any]) -> None:

@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import threading
 import time
+import traceback
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from napari_elsplus.closing import ClosedOnExit
@@ -106,7 +107,7 @@ class DaqScanner(ClosedOnExit):
         self._tasks_lost = threading.Event()
         self._closing = False
         self._compare_s = 0.0
-        self._card = CardThread(self._output.calls, self._turn, self._output.release, self._go_around)
+        self._card = CardThread(self._output.calls, self._turn, self._failed, self._output.release, self._go_around)
         if takes_over:
             self._command_parking()
         self._card.start()
@@ -289,16 +290,22 @@ class DaqScanner(ClosedOnExit):
         """Check or park, between commands; return the seconds until the next turn, None at the end."""
         if self._closing and not self._parks.is_set():
             return None
-        try:
-            if not self._parks.is_set():
-                fault = self._fault_now()  # after a fault, too: it is parked then, and has to stay so
-                self._fault = self._fault or fault
-            if self._parks.is_set():
-                self._attempt()
-        except Exception as error:  # noqa: BLE001 - the card's thread must not end
-            self._fault = _as_fault(error)
-            self._parks.set()
+        if not self._parks.is_set():
+            fault = self._fault_now()  # after a fault, too: it is parked then, and has to stay so
+            self._fault = self._fault or fault
+        if self._parks.is_set():
+            self._attempt()
         return self._parking.state.retry_s if self._parks.is_set() else WATCH_EVERY_S
+
+    def _failed(self, error: BaseException) -> float:
+        """Park after a defect, without checking anything before; return the seconds until then."""
+        self._parks.set()
+        if isinstance(error, DeviceError):
+            self._fault = error
+        else:
+            what = traceback.format_exception_only(error)[-1].strip()  # also of one whose text cannot be made
+            self._fault = DeviceError(f"the galvo's watch failed ({what})", "report this, open the rig again")
+        return self._parking.state.retry_s
 
     def _attempt(self) -> None:
         self._waveform = None
@@ -385,9 +392,3 @@ class DaqScanner(ClosedOnExit):
         finally:
             output.release()
         return True
-
-
-def _as_fault(error: Exception) -> DeviceError:
-    if isinstance(error, DeviceError):
-        return error
-    return DeviceError(f"the galvo's watch failed ({type(error).__name__}: {error})", "report this, open the rig again")
