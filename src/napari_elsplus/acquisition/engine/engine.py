@@ -391,10 +391,10 @@ class Engine(ClosedOnExit):
             if self._run is not None and self._run.broken:
                 raise DeviceError("a thread of the engine ended", "start the stream again")
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: BaseException) -> None:
         """Stop and park after a failure; the data are kept."""
-        with self._lock:
+        with self._lock, ExitStack() as held:
+            held.callback(self._end_run)
             broken = self._run is not None and self._run.broken
-            if not (broken and self._faults.all()):  # else the cause is there already
+            if not (broken and self._faults.all() and isinstance(error, DeviceError)):  # else the cause is there
                 self._faults.add("engine" if broken else "scanner", error)
-            self._end_run()

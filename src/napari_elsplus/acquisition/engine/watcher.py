@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final
 
@@ -32,10 +33,10 @@ class Watcher(Thread):
     check : callable
         Raises what has failed.
     failed : callable
-        Receives what was raised.
+        Receives what was raised; what it raises itself it receives at the next check.
     """
 
-    def __init__(self, check: Callable[[], None], failed: Callable[[Exception], None]) -> None:
+    def __init__(self, check: Callable[[], None], failed: Callable[[BaseException], None]) -> None:
         super().__init__(name="engine-watch", daemon=True)
         self._check, self._failed = check, failed
         self._stopping = Event()
@@ -48,11 +49,12 @@ class Watcher(Thread):
 
     def run(self) -> None:
         """Check until :meth:`stop`."""
+        error: BaseException | None = None
         while not self._stopping.wait(_PERIOD_S):
-            try:
-                self._check()
-            except Exception as error:  # noqa: BLE001 - handled by the owner
-                self._failed(error)
+            if error is None:
+                error = _raised_by(self._check)
+            if error is not None:
+                error = _raised_by(partial(self._failed, error))
 
 
 class AgreementWatch(Thread):
@@ -123,6 +125,14 @@ class AgreementWatch(Thread):
                 self._known = calibration, None
             self.disagreement = ""
         return self._known[1]
+
+
+def _raised_by(step: Callable[[], None]) -> BaseException | None:
+    try:
+        step()
+    except BaseException as error:  # noqa: BLE001 - handled by the owner of the watch, which must not end
+        return error
+    return None
 
 
 def _without_numbers(text: str) -> str:

@@ -51,7 +51,7 @@ class FaultLog:
         self._faults: dict[tuple[str, str], Fault] = {}
         self._lock = Lock()
 
-    def add(self, source: str, error: Exception) -> None:
+    def add(self, source: str, error: BaseException) -> None:
         """Keep the error of a source, unless it is there already; a defect is written to standard error, too."""
         if isinstance(error, ElsPlusError):
             problem, remedy = error.problem, error.remedy
