@@ -42,7 +42,7 @@ class RemoteCard(ClosedOnExit):
     def __init__(self, place: Place) -> None:
         self.place, self.address = place, str(place["grpc"])
         self._lock = threading.Lock()
-        self._wire = Client(("127.0.0.1", place["port"]), authkey=bytes.fromhex(place["key"]))
+        self._wire, self._interrupted = self._connect(), False
         self._version, self._programs = -1, list[Program]()
 
     @property
@@ -78,11 +78,20 @@ class RemoteCard(ClosedOnExit):
         """Release the card, which ends when it has no holder."""
         self._wire.close()
 
+    def _connect(self) -> Connection[Any, Any]:
+        return Client(("127.0.0.1", self.place["port"]), authkey=bytes.fromhex(self.place["key"]))
+
     def _request(self, what: str, argument: object = None) -> Any:
         with self._lock:
             try:
+                if self._interrupted and not self._wire.closed:
+                    before, self._wire = self._wire, self._connect()
+                    before.close()  # what came first through it would answer the call before
+                self._interrupted = True
                 self._wire.send((what, argument))
-                return self._wire.recv()
+                answer = self._wire.recv()
+                self._interrupted = False
+                return answer
             except (OSError, EOFError) as error:
                 raise DeviceError("the virtual card's process has ended", "open the rig again") from error
 
