@@ -5,6 +5,7 @@ Each test is a fault that a driver had which was tested only against a device of
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from struct import pack, unpack
@@ -12,11 +13,13 @@ from struct import pack, unpack
 import numpy as np
 import pytest
 from usb import util
+from usb.core import USBTimeoutError
 
 from napari_elsplus.errors import DeviceError, InputError
 from napari_elsplus.hardware.protocols import HasClock, Region
 from napari_elsplus.hardware.u3v.camera import CameraClock, U3vCamera
 from napari_elsplus.hardware.u3v.discovery import choose_camera
+from napari_elsplus.hardware.virtual.camera import descriptors
 from napari_elsplus.hardware.virtual.camera.bus import VirtualBus
 from sfnc_camera import StandardRegisters
 from virtual_devices import read_frames
@@ -294,6 +297,34 @@ def test_no_permission_with_a_serial_number_says_so(cameras) -> None:
     assert choose_camera("0815", both).serial_number == "0815"  # the other one is not in the way
     with pytest.raises(DeviceError, match="no permission"):
         choose_camera("4711", both)
+
+
+@pytest.mark.parametrize("asked", ["languages", "text"])
+def test_a_camera_that_hangs_while_its_serial_number_is_read_is_no_matter_of_permission(
+    cameras, monkeypatch, asked
+) -> None:
+    """Before: no permission, with a rule to write; or it stood in the way of the camera that was asked for."""
+    bench, other = cameras(), cameras(serial="0815")
+    transfer, hangs_from = VirtualBus.ctrl_transfer, {"languages": 0, "text": 1}[asked]
+
+    def hang(self, plug, request_type, request, value, *rest):
+        if plug is bench.plug and value & 0xFF >= hangs_from:
+            raise USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+        return transfer(self, plug, request_type, request, value, *rest)
+
+    monkeypatch.setattr(VirtualBus, "ctrl_transfer", hang)
+    with pytest.raises(DeviceError, match=r"timed out: plug it in again"):
+        choose_camera("4711", bench.bus)
+    assert choose_camera("0815", VirtualBus(bench.plug, other.plug)).serial_number == "0815"
+
+
+def test_a_camera_whose_serial_number_is_no_text_is_not_the_one_that_is_asked_for(cameras, monkeypatch) -> None:
+    bench = cameras()
+    texts = descriptors.string
+    half_a_letter = b"\x04\x03\x00\xd8"
+    monkeypatch.setattr(descriptors, "string", lambda index, serial: half_a_letter if index else texts(0, serial))
+    with pytest.raises(DeviceError, match="no USB3 Vision camera with serial 4711"):
+        choose_camera("4711", bench.bus)
 
 
 # The device itself: what it refuses, and by which status, is the standard's.

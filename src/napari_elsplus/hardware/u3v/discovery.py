@@ -78,7 +78,8 @@ def translate_usb_errors(what: str) -> Iterator[None]:
         raise DeviceError(f"{what} has no driver that libusb can use", PERMISSION_REMEDIES["win32"]) from error
     except USBError as error:
         if error.errno == errno.EACCES:
-            raise no_permission(what) from error
+            remedy = PERMISSION_REMEDIES.get(sys.platform, "run it from an account that may use USB devices")
+            raise DeviceError(f"no permission to open {what}", remedy) from error
         if error.errno == errno.EBUSY:
             raise DeviceError(f"{what} is open in another program", "close that program, then try again") from error
         if error.errno in UNPLUGGED:
@@ -86,18 +87,6 @@ def translate_usb_errors(what: str) -> Iterator[None]:
         if error.errno == errno.EPIPE:
             raise DeviceError(f"{what} has halted its endpoint", "open the rig again, which ends the halt") from error
         raise DeviceError(f"{what}: {error}", "plug it in again; if that does not help, try another port") from error
-
-
-def no_permission(what: str) -> DeviceError:
-    """Return the error of a device that may not be opened, with what permits it.
-
-    Parameters
-    ----------
-    what : str
-        Device, as the message names it.
-    """
-    remedy = PERMISSION_REMEDIES.get(sys.platform, "run it from an account that may use USB devices")
-    return DeviceError(f"no permission to open {what}", remedy)
 
 
 def libusb() -> IBackend | None:
@@ -169,14 +158,14 @@ def choose_camera(serial: str = "", backend: IBackend | None = None) -> Device:
     Raises
     ------
     DeviceError
-        If there is none, or more than one to choose from, or the serial numbers may not be read.
+        If there is none, or more than one to choose from, or the serial numbers cannot be read.
     """
     cameras = find_cameras(backend)
     if serial:
-        with translate_usb_errors("the camera"):
-            numbers = [_serial_number(camera) for camera in cameras]
-        if serial not in numbers and None in numbers:
-            raise no_permission(f"the camera, or one of {len(cameras)}, so that no serial number can be read")
+        numbers = [_serial_number(camera) for camera in cameras]
+        if serial not in numbers:
+            for unread in (number for number in numbers if isinstance(number, DeviceError)):
+                raise unread
         cameras = [camera for camera, number in zip(cameras, numbers, strict=True) if number == serial]
     if len(cameras) == 1:
         return cameras[0]
@@ -229,12 +218,18 @@ def endpoints(device: Device) -> Endpoints:
         raise DeviceError("the camera has no control or no stream endpoint", "update its firmware") from None
 
 
-def _serial_number(device: Device) -> str | None:
-    """Return the serial number of a device; None where it may not be opened."""
+def _serial_number(device: Device) -> str | DeviceError:
+    """Return the serial number of a device, or why it cannot be read; empty where the device has none."""
+    from usb.util import get_langids, get_string
+
     try:
-        return str(device.serial_number)
-    except ValueError:  # pyusb's word for texts that may not be read
-        return None
+        with translate_usb_errors("a camera whose serial number is needed"):
+            languages = get_langids(device)  # not the device's own list, which is empty after any error
+            return str(get_string(device, device.iSerialNumber, languages[0])) if languages else ""
+    except DeviceError as error:
+        return error
+    except UnicodeDecodeError:
+        return ""
 
 
 def _interface_classes(device: Device) -> set[tuple[Any, Any, Any]]:
