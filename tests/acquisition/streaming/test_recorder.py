@@ -41,6 +41,36 @@ def test_a_recording_that_is_stopped_ends_though_no_further_frame_comes(tmp_path
     assert (recorder.frames, recorder.missing, faults.all()) == (5, 0, ())
 
 
+@pytest.mark.parametrize("lost_later", [0, 6])
+def test_frames_that_a_recorder_lost_stay_counted_when_the_next_one_begins(tmp_path: Path, lost_later: int) -> None:
+    """Before: the next recording of the run put its own count in their place."""
+    stream, faults, tally = FrameStream((8, 8), frames=16), FaultLog(), Tally()
+
+    def record(name: str, lost: int) -> None:
+        recorder = Recorder(
+            stream,
+            RecordingPlan(tmp_path / name, frames=5),
+            frame_rate_hz=100.0,
+            calibration=None,
+            settings={},
+            tally=tally,
+            faults=faults,
+        )
+        for number in range(lost + 16 if lost else 5):  # the memory holds 16
+            stream.finalize(stream.acquire(), FrameInfo(number, 0.0, 0.01 * number))
+        recorder.start()
+        recorder.join(10)
+        assert recorder.frames == 5
+
+    record("first.ome.tif", lost=4)
+    lost = tally.dropped["recorder slow"]
+    assert lost >= 4
+    record("second.ome.tif", lost=lost_later)
+    assert tally.dropped["recorder slow"] >= lost + lost_later
+    stream.end()
+    assert faults.all() == ()
+
+
 def test_a_plan_takes_the_name_of_a_file() -> None:
     """Before: the recording began, and whatever asked for it raised an AttributeError."""
     assert RecordingPlan("r.ome.tif").path == Path("r.ome.tif")

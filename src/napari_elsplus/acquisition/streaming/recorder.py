@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 FULL_DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """By which a system tells that a disk, a user's share of it, or a file is full."""
+_SLOW: Final = "recorder slow"
+"""Cause of lost frames."""
 _POLL_S: Final = 0.1
 """Chosen: how long to wait for a frame before the end of the stream is tested."""
 _BATCH: Final = 4
@@ -115,6 +117,7 @@ class Recorder(Thread):
         super().__init__(name="recorder", daemon=True)
         self.plan = plan
         self._tally, self._faults = tally, faults
+        self._lost_before = tally.dropped[_SLOW]  # by earlier recordings of the run
         self._stream = stream
         frames = min(plan.frames or inf, (plan.seconds or inf) * frame_rate_hz)
         if isfinite(frames):
@@ -199,7 +202,7 @@ class Recorder(Thread):
             self._writer.append(frame, stamp.readout_start_s, stamp.frame_number)
             self._span = first, stamp, len(self._writer)
             self._tally.recorded += 1
-            self._tally.skipped("recorder slow", self._cursor.skipped)
+            self._tally.skipped(_SLOW, self._lost_before + self._cursor.skipped)
 
     def _beyond_end(self, sequence: int) -> bool:
         """Return True if the frame of a sequence number came after :meth:`stop`."""
