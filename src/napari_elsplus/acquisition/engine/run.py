@@ -151,7 +151,7 @@ class Run:
         if self._recorder is not None and self._recorder.is_alive():
             raise InputError(f"{self._recorder.plan.path.name} is still being recorded", "stop that recording first")
         self.tally.recorded = 0
-        recorder = Recorder(
+        self._recorder = Recorder(
             self._stream,
             plan,
             frame_rate_hz=self.frame_rate_hz,
@@ -160,8 +160,6 @@ class Run:
             tally=self.tally,
             faults=self._faults,
         )
-        recorder.start()
-        self._recorder = recorder  # only now: whoever stops it joins it
 
     def stop_recording(self) -> None:
         """Finish the recording with the newest frame; returns when the file is complete."""

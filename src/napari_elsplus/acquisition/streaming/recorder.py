@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from contextlib import ExitStack
 from dataclasses import dataclass
 from math import inf, isfinite, prod
 from pathlib import Path
@@ -76,7 +77,7 @@ class RecordingPlan:
 
 
 class Recorder(Thread):
-    """Writes frames until a limit, :meth:`stop`, or the end of the stream; the file is closed in every case.
+    """Writes frames from now until a limit, :meth:`stop`, or the end of the stream; the file is closed in every case.
 
     Parameters
     ----------
@@ -123,18 +124,21 @@ class Recorder(Thread):
         if isfinite(frames):
             refuse_existing(plan.path, force=plan.force)
             require_room(plan.path, frames * prod(stream.frame_shape))
-        # joined first: frames from before the start leave the memory while a slow disk makes the file
-        self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz), batch=_BATCH)
-        try:
-            self._writer = RecordingWriter(
-                plan.path, stream.frame_shape, "uint8", calibration=calibration, settings=settings, force=plan.force
-            )
-        except BaseException:
-            self._cursor.close()
-            raise
         self._period_s = 1 / frame_rate_hz
         self._stop_before: int | None = None
         self._span: tuple[Stamp, Stamp, int] | None = None
+        with ExitStack() as held:  # where it is refused or interrupted, nothing stays
+            # joined first: frames from before the start leave the memory while a slow disk makes the file
+            self._cursor = stream.join(earlier=round(plan.earlier_s * frame_rate_hz), batch=_BATCH)
+            held.callback(self._cursor.close)
+            self._writer = held.enter_context(
+                RecordingWriter(
+                    plan.path, stream.frame_shape, "uint8", calibration=calibration, settings=settings, force=plan.force
+                )
+            )
+            held.callback(self._give_up)
+            self.start()
+            held.pop_all()
 
     @property
     def frames(self) -> int:
@@ -182,6 +186,12 @@ class Recorder(Thread):
             self._faults.add("recorder", error)
         finally:
             self._cursor.close()
+
+    def _give_up(self) -> None:
+        """Write no frame any more; returns when the thread has ended, if it had begun."""
+        self._stop_before = 0
+        if self.is_alive():
+            self.join()
 
     def _write(self) -> None:
         while not self.full:
