@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Client, Connection, Listener
 from typing import Any, Final, cast
 
@@ -42,6 +43,7 @@ class RemoteCard(ClosedOnExit):
     def __init__(self, place: Place) -> None:
         self.place, self.address = place, str(place["grpc"])
         self._lock = threading.Lock()
+        self._connect = partial(Client, ("127.0.0.1", place["port"]), authkey=bytes.fromhex(place["key"]))
         self._wire, self._interrupted = self._connect(), False
         self._version, self._programs = -1, list[Program]()
 
@@ -77,9 +79,6 @@ class RemoteCard(ClosedOnExit):
     def close(self) -> None:
         """Release the card, which ends when it has no holder."""
         self._wire.close()
-
-    def _connect(self) -> Connection[Any, Any]:
-        return Client(("127.0.0.1", self.place["port"]), authkey=bytes.fromhex(self.place["key"]))
 
     def _request(self, what: str, argument: object = None) -> Any:
         with self._lock:
