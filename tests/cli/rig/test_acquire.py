@@ -74,7 +74,7 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
     """Before: a second one met the unwinding of the first, after which it recorded without end."""
     running = subprocess.Popen(
         [
-            *COMMAND, "-c", str(calibration_file), "--seconds", "600", "--rate-hz", "60",
+            *COMMAND, "-c", str(calibration_file), "--seconds", "200", "--rate-hz", "60",
             "--record", str(tmp_path / "r.ome.tif"), "--report", str(tmp_path / "report.json"),
             "--mosaic", str(tmp_path / "m.ome.tif"), "--track", str(tmp_path / "t.csv"),
         ],
@@ -82,6 +82,7 @@ def test_an_interrupt_ends_in_order(calibration_file: Path, tmp_path: Path, more
     )  # fmt: skip
     end_s = time.monotonic() + 100
     while not (tmp_path / "r.ome.tif").exists() or (tmp_path / "r.ome.tif").stat().st_size < 10 * 524 * 1328:
+        assert running.poll() is None, running.communicate()
         assert time.monotonic() < end_s
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)

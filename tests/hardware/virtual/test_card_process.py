@@ -8,7 +8,6 @@ from typing import NoReturn
 import pytest
 
 from napari_elsplus.errors import DeviceError
-from napari_elsplus.hardware.virtual.card import process
 from napari_elsplus.hardware.virtual.card.process import RemoteCard, start_card
 
 
@@ -25,7 +24,7 @@ def fail(*_: object, **__: object) -> NoReturn:
 def interrupt_a_call(card: RemoteCard, monkeypatch: pytest.MonkeyPatch, place: str = "_wire.recv") -> None:
     owner, _, name = place.rpartition(".")
     with monkeypatch.context() as patched:
-        patched.setattr(card._wire if owner else process, name, fail)
+        patched.setattr(card._wire if owner else card, name, fail)
         with pytest.raises(KeyboardInterrupt):
             card.programs()
 
@@ -44,7 +43,7 @@ def test_a_call_after_one_that_was_interrupted_gets_its_own_answer(card, monkeyp
 def test_a_call_whose_connection_is_interrupted_anew_gets_its_own_answer(card, monkeypatch) -> None:
     volts = card.last_volts
     interrupt_a_call(card, monkeypatch)
-    interrupt_a_call(card, monkeypatch, "Client")
+    interrupt_a_call(card, monkeypatch, "_connect")
     assert card.last_volts == volts
 
 

@@ -6,8 +6,17 @@ import gc
 import weakref
 
 import numpy as np
+import pytest
+
+from napari_elsplus.widgets.shared import panel
 
 PLUGIN = "napari-elsplus"
+
+
+@pytest.fixture(autouse=True)
+def no_panel_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget panels that other tests have left."""
+    monkeypatch.setattr(panel, "_present", weakref.WeakSet())
 
 
 class Noted(np.ndarray):
