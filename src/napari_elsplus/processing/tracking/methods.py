@@ -14,7 +14,7 @@ import numpy as np
 from napari_elsplus.processing.progress import Progress, without_display
 from napari_elsplus.processing.tracking.backward_tracking import completed
 from napari_elsplus.processing.tracking.front_end.front_end import FrontEnd
-from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement
+from napari_elsplus.processing.tracking.middle_rows import at_middle_rows, of_mean_places
 from napari_elsplus.processing.tracking.pose_graph.graph import PoseGraph
 from napari_elsplus.processing.tracking.pose_graph.nodes import NodeRegistration
 from napari_elsplus.processing.tracking.pose_graph.refinement import refine
@@ -25,12 +25,11 @@ from napari_elsplus.processing.tracking.registration.shutter_timing import (
     estimate_line_periods_per_frame,
 )
 from napari_elsplus.processing.tracking.registration.strain_test import probe_turns
-from napari_elsplus.processing.tracking.registration.uneven_motion import WITHIN_FRAMES, at_middle_rows, mean_shifts
 from napari_elsplus.processing.tracking.standing_pattern import WITHOUT_PATTERN, tracked_without_pattern
 from napari_elsplus.processing.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -312,28 +311,6 @@ def prepared_frames(
         return registrar.prepare(view)
 
     return frame
-
-
-def of_mean_places(
-    links: Sequence[TrackedPair], poses: Sequence[Pose], grid: Grid, lost: Mapping[int, int]
-) -> list[TrackedPair]:
-    """Return registrations with the displacements of the mean places of the frames' rows, also of uneven motion.
-
-    Parameters
-    ----------
-    links : sequence of TrackedPair
-        The tracker's registrations; those of uneven motion are of the middle rows.
-    poses, grid, lost
-        As of :func:`~.uneven_motion.mean_shifts`.
-    """
-    shifts = (WITHIN_FRAMES * mean_shifts(poses, grid, lost)).tolist()
-
-    def moved(link: TrackedPair) -> TrackedPair:
-        more = shifts[link.later] - shifts[link.earlier]
-        row, col = link.displacement
-        return link._replace(displacement=Displacement(row + more.real, col + more.imag))
-
-    return [moved(link) if link.registration.evened else link for link in links]
 
 
 def reviewed_model(

@@ -8,7 +8,12 @@ import pytest
 
 from motion_priors import about
 from napari_elsplus.processing.tracking.front_end.grid import Grid
-from napari_elsplus.processing.tracking.methods import of_mean_places
+from napari_elsplus.processing.tracking.middle_rows import (
+    WITHIN_FRAMES,
+    at_middle_rows,
+    mean_shifts,
+    of_mean_places,
+)
 from napari_elsplus.processing.tracking.motion.pose import Pose, TrackingState
 from napari_elsplus.processing.tracking.motion.rolling_shutter import Displacement, RollingShutter, Velocity, Warp
 from napari_elsplus.processing.tracking.registration.pair_registration import (
@@ -17,7 +22,6 @@ from napari_elsplus.processing.tracking.registration.pair_registration import (
     Registrar,
     TrackedPair,
 )
-from napari_elsplus.processing.tracking.registration.uneven_motion import WITHIN_FRAMES, at_middle_rows, mean_shifts
 
 ROWS_PER_FRAME = 272.0
 GRID = Grid(236, 1, (0, 0), (117.5, 117.5), 232.0, RollingShutter(ROWS_PER_FRAME))
